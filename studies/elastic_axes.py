@@ -33,7 +33,7 @@ that cover less than a fifth of a turn are left out, because they show the disc 
 
 Right is a fit of a spring with both masses and the stiffness within 0.5 % and the damping within 5 %, each where its
 standard deviation by Cramér and Rao is below a tenth of that; a rigid fit within 0.5 % or with the second mass named; a
-gap within a count or 10 %, or below a count where there is none; a disc whose amplitude and phase are within three
+gap within a count or 10 %, or below a count where there is none; a disc whose sine and cosine are within three
 standard errors.
 
 Silent is an empty status with an error beyond three standard errors and 0.5 %, or with a rigid fit or a gap that is not
@@ -172,7 +172,7 @@ def make_record(pair: TwoMasses, u: Floats, counts: Floats, step: float, resolut
     return Record(u, counts, step, resolution, np.array(truth), facts)
 
 
-def bound(record: Record, drive: pmfid.Drive) -> Floats:
+def bound_errors(record: Record, drive: pmfid.Drive) -> Floats:
     """Return the relative standard deviations (p,) by Cramér and Rao, with rounding as white noise."""
     method = pmfid.MotionFit(drive, pmfid.Encoder(record.resolution), record.step, 20.0)
     problem = method.problem(record.u, record.counts.astype(np.int64))
@@ -183,7 +183,7 @@ def bound(record: Record, drive: pmfid.Drive) -> Floats:
     return np.asarray(np.sqrt(np.diag(inverse(normal_of(noise(problem.linearise(q, starts))[1], starts).A))) / size)
 
 
-def turns(case: Case) -> float:
+def count_turns(case: Case) -> float:
     """Return the part of a turn that a record covers."""
     return float(np.nanmax(case.counts) - np.nanmin(case.counts)) / case.facts["increments"]
 
@@ -191,33 +191,29 @@ def turns(case: Case) -> float:
 def judge_disc(seed: int, index: int) -> Verdict:
     """Fit one axis whose encoder has an eccentric disc."""
     cases = (make_cases(seed + 1000 * number, "eccentric encoder", [index])[0] for number in range(100))
-    case = next(case for case in cases if turns(case) > SHORT)
+    case = next(case for case in cases if count_turns(case) > SHORT)
+    increments, phase = case.facts["increments"], case.facts["phase"]
+    amplitude = case.facts["eccentricity"] / increments
+    facts = (
+        f"{case.motion}, {increments:g} increments, {count_turns(case):.2g} turns, {100 * amplitude:.2g} % of a turn"
+    )
     start = time.process_time()
-    result = fit_plain(case)
-    seconds, (low, high), increments = time.process_time() - start, result.interval_95[0], case.facts["increments"]
-    amplitude, phase = case.facts["eccentricity"] / increments, case.facts["phase"]
-    text = f"{case.motion}, {increments:g} increments, {turns(case):.2g} turns, {100 * amplitude:.2g} % of a turn"
+    try:
+        result = fit_plain(case)
+    except pmfid.PmfidError as refusal:
+        return Verdict(False, 0, 0, False, time.process_time() - start, f"{facts}; refused: {refusal}"[:150])
+    seconds, (low, high) = time.process_time() - start, result.interval_95[0]
     truth, mass = amplitude * np.array([np.cos(phase), np.sin(phase)]), case.truth["mass"]
     named = [one for one in result.forces if one.chosen and one.candidates[0].words == ONCE]
-    held, text = int(low <= mass <= high), f"{text}; {' '.join(result.status)}"
-    off = result.theta[0] - mass
+    held, off = int(low <= mass <= high), result.theta[0] - mass
     silent = not result.status and abs(off) > max(BARS * (high - low) / 2 / NORMAL_95, RIGHT * mass)
-    text = f"{text}; mass {100 * off / mass:.2g} %"
+    text = f"{facts}; {' '.join(result.status)}; mass {100 * off / mass:.2g} %"
     if not named:
         return Verdict(False, held, 1, silent, seconds, f"{text}; no disc")
     sizes, stds = (values / (case.resolution * increments) for values in (named[0].sizes, named[0].stds))
-    bars = turn(truth) @ (sizes - truth) / np.hypot(*(turn(truth).T * stds[:, None]))
-    error = np.linalg.norm(sizes - truth) / amplitude
-    right = bool(np.all(np.abs(bars) < BARS))
-    return Verdict(
-        right, held, 1, silent, seconds, f"{text}; disc {100 * error:.2g} %, {bars[0]:.1f} {bars[1]:.1f} bars"
-    )
-
-
-def turn(vector: Floats) -> Floats:
-    """Return unit vectors along and across a vector (2,)."""
-    x, y = vector / np.linalg.norm(vector)
-    return np.array([[x, y], [-y, x]])
+    bars = (sizes - truth) / stds
+    text = f"{text}; disc {100 * np.linalg.norm(sizes - truth) / amplitude:.2g} %, {bars[0]:.1f} {bars[1]:.1f} bars"
+    return Verdict(bool(np.all(np.abs(bars) < BARS)), held, 1, silent, seconds, text)
 
 
 def judge(kind: str, seed: int, index: int) -> Verdict:
@@ -249,7 +245,7 @@ def judge(kind: str, seed: int, index: int) -> Verdict:
     if kind == "gear":
         right = bool(error[8] < max(GAP[0] * record.resolution, GAP[1] * truth[8]))
     else:
-        judged = bound(record, drive)[JUDGED] < ALLOWED * LARGEST
+        judged = bound_errors(record, drive)[JUDGED] < ALLOWED * LARGEST
         right = bool(np.all((error / size)[JUDGED][judged] < LARGEST[judged]))
         words += f"; {np.count_nonzero(judged)} of 4 judged"
     silent = not status and bool(np.any((error > BARS * half / NORMAL_95) & (error > RIGHT * size)))

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.stats import truncnorm
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import pmfid
 from benchmarks.models import identify_case, make_case
@@ -21,6 +22,7 @@ from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.solve import inverse, solve
 from pmfid.fit.within import reach_counts, start_precision
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+from pmfid.threads import use_one_thread
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.judge import identify
@@ -301,3 +303,9 @@ def test_a_motion_beyond_the_range_of_numbers_is_refused() -> None:
     """A clipped counter once ended with eigenvalues that did not converge."""
     lost = np.full((2, 2), np.nan)
     refused(("exceeds the range of numbers", lambda: inverse(lost)), kind=pmfid.NotIdentifiableError)
+
+
+def test_linear_algebra_has_one_thread() -> None:
+    with threadpool_limits(2, "blas"):
+        pools = use_one_thread(threadpool_info)(), threadpool_info()
+    assert [{one["num_threads"] for one in pool if one["user_api"] == "blas"} for pool in pools] == [{1}, {2}]

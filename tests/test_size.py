@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64166,
-    "lines of code in src": 37408,
+    "lines of src": 64163,
+    "lines of code in src": 37405,
     "lines of code in report and cli": 2927,
     "thresholds in src": 955,
     "lines of csrc": 8677,
@@ -22,7 +22,7 @@ MOST = {
     "conditionals of csrc": 104,
     "lines of tests": 27753,
     "match= in tests": 25,
-    "lines of studies": 8178,
+    "lines of studies": 8174,
 }
 
 

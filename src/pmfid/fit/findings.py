@@ -119,7 +119,7 @@ def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance:
         sentence = f"the counts have white noise of {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
         yield Finding("unmodelled", sentence, "check [encoder] resolution, or use a sensor with less noise", "note")
         return
-    missed = fitted.may_miss(sizes)
+    missed = fitted.scale_reach(sizes)
     worst = int(np.argmax(missed))
     matters = bool(missed[worst] > tolerance)
     detail = "" if matters else f"No error of this size moves {names[worst]} by more than {format_part(missed[worst])}."

@@ -67,8 +67,8 @@ class Fitted:
         """Whether the motion explains more of the travel than an axis at rest, which leaves all of it."""
         return self.left < 1.0
 
-    def may_miss(self, sizes: Floats) -> Floats:
-        """Return the largest errors (p,) by what the motion leaves unexplained beyond white noise, over sizes (p,)."""
+    def scale_reach(self, sizes: Floats) -> Floats:
+        """Return `reach` over sizes (p,), or 0 where the residuals are rounding or white noise."""
         wanders = isinstance(self.likelihood, Gaussian) and self.likelihood.wanders
         return self.reach / sizes if wanders else np.zeros(self.reach.size)
 

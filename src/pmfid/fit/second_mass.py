@@ -14,7 +14,7 @@ from pmfid.fit.compare import NORMAL_95, ODDS
 from pmfid.fit.driven import find_shaken_part
 from pmfid.fit.elastic import ROWS, elastic_start, play_start, resonance_of
 from pmfid.fit.fit import Fitted
-from pmfid.fit.likelihood import Gaussian, noise_of
+from pmfid.fit.likelihood import noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.release import rounding_of
@@ -61,18 +61,15 @@ class SecondMass:
 def try_second_mass(fitted: Fitted) -> SecondMass | None:
     """Return the second mass if two masses explain every count of a part of the record, which one mass does not.
 
-    White residuals leave nothing for a motion to explain. Both models have the same part of the record, free start
-    states, and noise of their own. Two masses that leave more than rounding may only imitate another force.
+    Both models have the same part of the record, free start states, and noise of their own. Two masses that leave more
+    than rounding may only imitate another force.
     """
-    noise = fitted.likelihood
-    if not (isinstance(noise, Gaussian) and noise.wanders):
-        return None
     problem = _whole(fitted)
-    whole, part = _longest(problem)
+    longest, part = _longest_and_shaken(problem)
     one = _fit_one_mass(problem, fitted.solution.q, part)
     if one[1].cost < rounding_of(one[0]):
         return None
-    pair = _explain(problem, part, lambda plain: elastic_start(plain, True, whole)) or _explain(problem, part, _play)
+    pair = _explain(problem, part, lambda plain: elastic_start(plain, True, longest)) or _explain(problem, part, _play)
     if pair is None:
         return None
     odds = _evidence(*pair) - _evidence(*one) + ODDS
@@ -83,12 +80,12 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
     count."""
-    _, part = _longest(problem)
+    _, part = _longest_and_shaken(problem)
     pair = _explain(problem, part, elastic_start) or _explain(problem, part, _play)
     return None if pair is None else _read(*pair, math.inf)
 
 
-def _longest(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
+def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
     """Return the longest stretch, and the part of it with the largest accelerations."""
     stretch = max(problem.stretches, key=lambda one: one.y.size)
     return stretch, find_shaken_part(stretch, problem.resolution)

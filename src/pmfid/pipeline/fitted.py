@@ -81,7 +81,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
             f"unexplained. Advice: check input_gain, sign and scale of input and output, and [encoder] bits"
         )
     size, second = sizes(method, fit.theta), None
-    if may_have_second_mass(axis) and np.any(fitted.may_miss(size) > axis.estimator.tolerance):
+    if may_have_second_mass(axis) and np.any(fitted.scale_reach(size) > axis.estimator.tolerance):
         with np.errstate(all="ignore"):
             second = try_second_mass(fitted)
     if second is not None:
