@@ -13,15 +13,15 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64163,
-    "lines of code in src": 37405,
+    "lines of src": 64136,
+    "lines of code in src": 37387,
     "lines of code in report and cli": 2927,
     "thresholds in src": 955,
     "lines of csrc": 8677,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
-    "lines of tests": 27753,
-    "match= in tests": 25,
+    "lines of tests": 27725,
+    "match= in tests": 24,
     "lines of studies": 8174,
 }
 

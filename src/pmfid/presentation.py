@@ -6,6 +6,7 @@ Each class of results defines `summary`, `columns` and `to_dict`. This module de
 from __future__ import annotations
 
 import html
+import json
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -131,6 +132,14 @@ def plain(value: object) -> object:
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value if value is None or isinstance(value, bool | int | str) else str(value)
+
+
+def as_json(value: object) -> str:
+    """Return JSON on one line. A number that is not finite becomes null."""
+    try:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except (TypeError, ValueError):
+        return json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
 
 
 def plain_dict(content: Mapping[str, object]) -> dict[str, object]:

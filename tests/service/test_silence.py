@@ -52,6 +52,7 @@ class Watched:
     prepared: Prepared
     axes: Sequence[str] = ("x1", "x2", "x3")
     limit: float = LIMIT
+    seen: int = 0
 
     def __post_init__(self) -> None:
         self.outlet, self.sink, self.at, self.first = Outlet(), Sink(), 1000.0, dict.fromkeys(self.axes, 0)
@@ -83,7 +84,7 @@ class Watched:
 
     def again(self) -> None:
         """Restart from a checkpoint of this moment."""
-        found = read_snapshot(b"".join(draft(self.engine).chunks()))
+        found = read_snapshot(b"".join(draft(self.engine).chunks()), self.published)
         self.engine = self._engine()
         found.restore(self.engine)
         groups = [one.restore_group(self.prepared, Pace(0.0, 1.0)) for one in found.groups]
@@ -91,9 +92,13 @@ class Watched:
 
     def taken(self) -> list[tuple[str, str, str]]:
         """Return the new notices as (event, kind of the silent object, its name)."""
-        reported, self.outlet.reported = self.outlet.reported, []
-        kinds = ("alarm", "cleared")
-        return [(n.what["event"], n.what["silent"], n.what["name"]) for n in reported if n.what["event"] in kinds]
+        fresh, self.seen = self.published[self.seen :], len(self.published)
+        return [(n.what["event"], n.what["silent"], n.what["name"]) for n in fresh]
+
+    @property
+    def published(self) -> list[Notice]:
+        """The notices of alarms so far."""
+        return [notice for notice in self.outlet.reported if notice.urgent]
 
     def level(self, name: str, **labels: str) -> float:
         return self.engine.counters.values()[name, tuple(labels.items())]
@@ -148,7 +153,7 @@ def test_a_restart_neither_repeats_nor_forgets_an_alarm(watched: Watched) -> Non
     assert watched.level("pmfid_axes_silent", group="axis.toml") == 2
     assert watched.level("pmfid_source_silent", source="lab") == watched.level("pmfid_sink_silent", sink="db") == 1
     board = Board([])
-    for one in watched.engine.notices.replay_alarms(watched.engine.notices.alarms.all()):
+    for one in watched.published:
         board.notice(one)
     assert [alarm.cleared for alarm in board.news().alarms] == [None] * 4, "the page shows them as open"
     watched.run(3 * LIMIT, "x1", other="")

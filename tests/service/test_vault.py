@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
-from contextlib import closing
+import resource
+import signal
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +26,17 @@ from pmfid.stream.outcome import Counters, EstimateRows, Notice
 from pmfid.stream.store import FILE, Vault
 from tests.patience import PATIENCE
 from tests.refusals import refused
-from tests.service.test_history_sink import full_at
+from tests.service.feed import alarm, notice
+from tests.service.kills import killed_after
 
 Report = list[dict[str, Any]]
 
 
-def as_text(body: bytes) -> str:
-    """Read a state that this test has written."""
+def as_text(body: bytes, alarms: list[Notice]) -> str:
+    """Read a state that this test has written, and the numbers of the notices of alarms."""
     if not body.startswith(b"state "):
         raise ValueError("it is no state")
-    return body.decode()
+    return " ".join([body.decode(), *(str(one.number) for one in alarms)])
 
 
 def written(folder: Path, *bodies: bytes) -> None:
@@ -82,6 +86,74 @@ def test_a_folder_has_one_service(tmp_path: Path) -> None:
     Vault(tmp_path).close()
     (tmp_path / "file").write_text("")
     refused((r"\[service\] state: .*choose a folder", lambda: Vault(tmp_path / "file")))
+
+
+# --- notices ----------------------------------------------------------------------------------------------------------
+
+
+def of(folder: Path, query: str) -> list[tuple[Any, ...]]:
+    with closing(sqlite3.connect(folder / FILE)) as database:
+        return database.execute(query).fetchall()
+
+
+@contextmanager
+def full_at(size: int) -> Iterator[None]:
+    """Limit the size of files, as a full disk does."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+
+
+def test_alarms_acknowledgements_and_configurations_have_views(tmp_path: Path) -> None:
+    configured = notice(3, "configuration", config="cart.toml", digest="ab12")
+    known = notice(4, "acknowledged", alarm=1, note="seen; DROP TABLE notices")
+    with closing(Vault(tmp_path)) as vault:
+        vault.write([b"state 1"], [alarm(1), notice(2, "gap", missing=5), configured])
+        vault.write([], [known])
+    assert loaded(tmp_path) == ("state 1 1 4", [])
+    assert of(tmp_path, "SELECT number, axis, parameter, relative, changed_at, unit FROM alarms") == [
+        (1, "x1", "mass", 0.2, 11.0, "kg")
+    ]
+    assert of(tmp_path, "SELECT a.number, k.note FROM acknowledgements k JOIN alarms a ON a.id = k.alarm") == [
+        (1, "seen; DROP TABLE notices")
+    ]
+    assert of(tmp_path, "SELECT axis, config, digest FROM configurations") == [("x1", "cart.toml", "ab12")]
+    assert of(tmp_path, "SELECT number, event, json_extract(what, '$.missing') FROM notices ORDER BY id") == [
+        (1, "alarm", None),
+        (2, "gap", 5),
+        (3, "configuration", None),
+        (4, "acknowledged", None),
+    ]
+    assert of(tmp_path, "PRAGMA journal_mode") == [("wal",)]
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from pmfid.stream.store import Vault
+from tests.service.feed import alarm
+vault = Vault(Path(sys.argv[1]))
+for number in range(1, 10**6, 3):
+    vault.write([b"state %d" % number], [alarm(number), alarm(number + 1), alarm(number + 2)])
+    print(number + 2, flush=True)
+"""
+
+
+@pytest.mark.parametrize("lines", [1, pytest.param(40, marks=pytest.mark.long)])
+def test_after_a_kill_states_and_notices_fit_together(tmp_path: Path, lines: int) -> None:
+    last = int(killed_after(WRITER, lines, str(tmp_path))[-1])
+    numbers = [number for (number,) in of(tmp_path, "SELECT number FROM alarms ORDER BY id")]
+    assert len(numbers) in (last, last + 3), "all of a write or none"
+    assert numbers == list(range(1, len(numbers) + 1))
+    state, _ = loaded(tmp_path)
+    assert state is not None
+    assert state.split()[:2] == ["state", str(len(numbers) - 2)]
+    assert of(tmp_path, "PRAGMA integrity_check") == [("ok",)]
 
 
 # --- the engine's state -----------------------------------------------------------------------------------------------
@@ -140,10 +212,9 @@ def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> Non
     queued = Queued(sink, engine.counters, reported.append)
     engine.unwritten = lambda: {queued.name: queued.unwritten()}
     queued.start()
-    alarm = Notice("x1", 7, 1.5, {"event": "alarm", "parameter": "mass"})
-    queued.notice(alarm)
-    queued.notice(Notice("x1", 8, 1.5, {"event": "state", "state": "settling"}))
-    assert read_snapshot(b"".join(draft(engine).chunks())).unwritten == {"alarms": [alarm]}
+    queued.notice(alarm(7))
+    queued.notice(notice(8, "state", state="settling"))
+    assert read_snapshot(b"".join(draft(engine).chunks())).unwritten == {"alarms": [alarm(7)]}
     sink.works = True
     queued.close(10.0)
     assert read_snapshot(b"".join(draft(engine).chunks())).unwritten == {}
@@ -156,7 +227,7 @@ def wait_for_writer(keeper: Checkpoints) -> None:
 
 def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared, tmp_path: Path) -> None:
     counters, reported, done = Counters(), Report(), list[int]()
-    keeper = Checkpoints(Vault(tmp_path), 0.0, counters, reported.append)
+    keeper = Checkpoints(Vault(tmp_path), 0.0, counters, reported.append, begun=True)
     engine = engine_of(prepared)
     engine.keeper = keeper
 
@@ -167,9 +238,12 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared,
         wait_for_writer(keeper)
 
     checkpoint(0)
+    keeper.notice(alarm(1))
     with full_at(8192):
         checkpoint(1)
+        keeper.notice(alarm(2))
         checkpoint(2)
+    assert of(tmp_path, "SELECT count(*) FROM notices") == [(0,)]
     checkpoint(3)
     keeper.offer(engine, last=True)
     assert done == [0, 1, 2, 3]
@@ -184,4 +258,5 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared,
     found = vault.load(read_snapshot, reported.append)
     vault.close()
     assert found is not None
+    assert [one.number for one in found.alarms] == [1, 2]
     assert found.groups[0].restore_group(prepared, Pace()).numbers.tolist() == [40, 0]

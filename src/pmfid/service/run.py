@@ -24,12 +24,11 @@ from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.plant import Plant
 from pmfid.service.running import Running
-from pmfid.service.sinks.history import HistorySink
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board
-from pmfid.stream.checkpoint import read_snapshot
+from pmfid.stream.checkpoint import Snapshot, read_snapshot
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice, Outlet
@@ -127,38 +126,47 @@ class Service:
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now)
         self._axes: dict[str, Prepared] = {}
-        self._vault: Vault | None = None
+        self._keeper: Checkpoints | None = None
         self._unusable: BaseException | None = None
+        self._problem: BaseException | None = None
         self._opened = False
         try:
             if not plant.sources:
                 problem = "no source is configured, so no data will arrive: add [sources.NAME]"
                 self._tell_now({"event": "source", "source": "", "problem": problem})
-            self._vault = None if plant.state is None else Vault(plant.state)
+            if plant.state is not None:
+                self._keep(Vault(plant.state), plant.service.checkpoint)
             self._configs = self._configurations.read(plant.axes)
             self._engine.set_awaited(name for name, path in plant.axes.items() if path in self._configs)
-            self._saved = None if self._vault is None else self._vault.load(read_snapshot, self._tell_now)
+            self._saved: Snapshot | None = (
+                None if self._keeper is None else self._keeper.vault.load(read_snapshot, self._tell_now)
+            )
             if not self._configs:
                 raise UsageError(_NOTHING)
         except BaseException:
-            if self._vault is not None:
-                self._vault.close()
+            if self._keeper is not None:
+                self._keeper.vault.close()
             self._log.close(TUNING.run_ending)
             raise
-        restored = set() if self._saved is None else set(self._saved.axes())
+        restored = set[str]() if self._saved is None else set(self._saved.axes())
         self._needed = {path for name, path in plant.axes.items() if name in restored} & self._configs.keys()
         self._engine.waiting = bool(self._needed)
         if self._saved is not None:
             self._saved.restore(self._engine)
             self._unwritten = self._saved.unwritten
-            for notice in self._engine.notices.replay_alarms(self._saved.alarms):
+            for notice in self._saved.alarms:
                 self._board.notice(notice)
 
-    def _restore(self, plant: Plant, vault: Vault) -> None:
+    def _keep(self, vault: Vault, period: float) -> None:
+        """Keep states and notices in the vault. Its states remain until those of the engine are complete."""
+        self._keeper = Checkpoints(vault, period, self.counters, self._engine.tell)
+        self._engine.keeper = self._keeper
+        self._outlets.append(self._keeper)
+
+    def _restore(self, keeper: Checkpoints) -> None:
         """Restore the axes of the checkpoint, all of which are calibrated."""
-        engine = self._engine
-        engine.keeper = Checkpoints(vault, plant.service.checkpoint, self.counters, engine.tell)
-        saved, awaited = self._saved, len(engine.awaited)
+        keeper.begun = True
+        saved, awaited = self._saved, len(self._engine.awaited)
         try:
             present = {prepared.digest: prepared for prepared in self._axes.values()}
             kept = [] if saved is None else [one for one in saved.groups if one.digest in present]
@@ -197,8 +205,6 @@ class Service:
             Queued(section.make(name, context), self.counters, tell, section.limits)
             for name, section in plant.sinks.items()
         ]
-        if plant.state is not None:
-            self._sinks.append(Queued(HistorySink(plant.state / FILE), self.counters, tell))
         self._engine.silence.sinks = self._sinks
         self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
         for queued in self._sinks:
@@ -218,7 +224,6 @@ class Service:
         if not self._needed:
             self._admit(plant)
         self._thread = Thread(target=self._run_engine, name="engine", daemon=True)
-        self._problem: BaseException | None = None
         self._thread.start()
         self._reloading = Thread(target=self._calibrate, args=(plant,), name="calibration", daemon=True)
         self._reloading.start()
@@ -248,8 +253,8 @@ class Service:
         reported = {group.prepared.digest for group in self._engine.groups}
         if self._opened:
             self._arrange(self._engine.groups)
-        elif self._vault is not None:
-            self._restore(plant, self._vault)
+        elif self._keeper is not None:
+            self._restore(self._keeper)
         else:
             self._arrange([])
         self._opened, self._engine.waiting = True, False
@@ -405,14 +410,14 @@ class Service:
         if hasattr(self, "_thread"):
             self._thread.join()
             self._tell_now({"event": "ended"})
-        else:
-            self._engine.keeper.offer(self._engine, last=True)
-        if self._vault is not None and not self._opened:
-            self._vault.close()
+        if self._keeper is not None:
+            self._keeper.begun &= self._problem is None  # states of an engine that failed are no checkpoint
+            self._keeper.offer(self._engine, last=True)
+            self._engine.speak()
         if self._page is not None:
             self._page.stop()
         for sink in self._sinks:
             sink.close(TUNING.run_ending)
         self._log.close(TUNING.run_ending)
-        if getattr(self, "_problem", None) is not None:
-            raise self._problem  # type: ignore[misc]
+        if self._problem is not None:
+            raise self._problem

@@ -19,7 +19,7 @@ from pmfid.stream.delivery import Block, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, Seat
 from pmfid.stream.order import Positions
-from pmfid.stream.outcome import AlarmRecord, Notice
+from pmfid.stream.outcome import Notice
 
 _LENGTH = struct.Struct("<Q")
 
@@ -64,7 +64,6 @@ def draft(engine: StreamEngine) -> Draft:
         {
             "wall": time.time(),
             "numbered": engine.numbered,
-            "alarms": [vars(alarm) for alarm in engine.notices.alarms.all()],
             "unwritten": {
                 sink: [[notice.axis, notice.number, notice.wall, notice.what] for notice in some]
                 for sink, some in engine.unwritten().items()
@@ -121,28 +120,32 @@ class Saved:
 class Snapshot:
     """The content of a checkpoint.
 
-    `wall` is the time of the checkpoint in seconds since 1970. `numbered` is the last number that an axis got.
-    `unwritten` maps the name of a sink to alarms that the sink did not have yet.
+    `wall` is the time of the checkpoint in seconds since 1970. `numbered` is the last number that an axis got. `alarms`
+    are the notices of all alarms. `unwritten` maps the name of a sink to alarms that the sink did not have yet.
     """
 
     wall: float
     numbered: int
-    alarms: list[AlarmRecord]
+    alarms: Sequence[Notice]
     unwritten: dict[str, list[Notice]]
     groups: list[Saved]
 
     def restore(self, engine: StreamEngine) -> None:
         """Restore the part of the engine outside its groups."""
         engine.numbered = self.numbered
-        engine.notices.restore(self.alarms)
-        engine.silence.restore(self.alarms)
+        for notice in self.alarms:
+            engine.notices.alarms.take(notice)
+        engine.silence.restore(engine.notices.alarms.all())
 
     def axes(self) -> Iterable[str]:
         return (name for group in self.groups for name in group.axes)
 
 
-def read_snapshot(body: bytes) -> Snapshot:
-    """Read the checkpoint in the bytes of `Draft.chunks`. Raises ValueError for other bytes."""
+def read_snapshot(body: bytes, alarms: Sequence[Notice] = ()) -> Snapshot:
+    """Read the checkpoint in the bytes of `Draft.chunks`, to which the notices of alarms belong.
+
+    Raises ValueError for other bytes.
+    """
     try:
         text, *parts = _split_parts(body)
         raw = json.loads(text)
@@ -150,7 +153,6 @@ def read_snapshot(body: bytes) -> Snapshot:
             Saved(one["digest"], one["baseline"], tuple(one["axes"]), state, seats, held, one["seats"])
             for one, state, seats, held in zip(raw["groups"], parts[::3], parts[1::3], parts[2::3], strict=True)
         ]
-        alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
         return Snapshot(float(raw["wall"]), int(raw["numbered"]), alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:

@@ -190,12 +190,10 @@ class StreamEngine:
     # --- the engine's thread ------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Tick until the inbox is closed and empty, then make a last checkpoint."""
+        """Tick until the inbox is closed and empty."""
         while self.tick(TUNING.engine_idle):
             pass
-        self._speak()
-        self.keeper.offer(self, last=True)
-        self._speak()
+        self.speak()
 
     def tick(self, timeout: float) -> bool:
         """Step the waiting deliveries. Returns False once the inbox is closed and empty."""
@@ -209,7 +207,7 @@ class StreamEngine:
         if not self.waiting and self.silence.look(self.groups):
             self.changes += 1
             self.urgent = True
-        self._speak()
+        self.speak()
         self.keeper.offer(self)
         return bool(batch) or not self.inbox.closed
 
@@ -325,7 +323,7 @@ class StreamEngine:
         for what in objects:
             self.notices.publish_event(seat, what)
 
-    def _speak(self) -> None:
+    def speak(self) -> None:
         """Publish the notices of other threads."""
         while self._said:
             axis, what = self._said.popleft()

@@ -48,28 +48,6 @@ class Notices:
         """Number of the last notice of the service itself."""
         return self._own
 
-    def restore(self, alarms: Sequence[AlarmRecord]) -> None:
-        """Restore the alarms of a checkpoint."""
-        self.alarms = Alarms()
-        for notice in self.replay_alarms(alarms):
-            self.alarms.take(notice)
-
-    @staticmethod
-    def replay_alarms(alarms: Sequence[AlarmRecord]) -> list[Notice]:
-        """Return the notices that restore these alarms in a reader. No new notices arise."""
-        notices = list[Notice]()
-        for alarm in alarms:
-            notices.append(Notice(alarm.axis, alarm.number, alarm.wall, alarm.what))
-            if alarm.settled is not None:
-                notices.append(Notice(alarm.axis, alarm.number, alarm.wall, {"event": "settled", **alarm.settled}))
-            if alarm.acknowledged is not None:
-                what = {"event": "acknowledged", "alarm": alarm.number, "note": alarm.note}
-                notices.append(Notice(alarm.axis, alarm.number, alarm.acknowledged, what))
-            if alarm.cleared is not None:
-                what = {"event": "cleared", "alarm": alarm.number}
-                notices.append(Notice(alarm.axis, alarm.number, alarm.cleared, what))
-        return notices
-
     def _give(self, notice: Notice) -> Notice:
         self.alarms.take(notice)
         for outlet in self.outlets:

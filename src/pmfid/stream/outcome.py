@@ -75,6 +75,15 @@ class Notice:
     wall: float
     what: dict[str, Any]
 
+    @property
+    def urgent(self) -> bool:
+        """Whether a person waits for the notice, because an alarm begins, changes or ends."""
+        return self.what.get("event") in URGENT
+
+
+#: Events of alarms. All other events are dropped first.
+URGENT = ("alarm", "acknowledged", "settled", "cleared")
+
 
 class Outlet(Protocol):
     """A receiver of outcomes. The engine's thread calls both methods, so neither may wait for anything."""

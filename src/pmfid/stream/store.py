@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import sqlite3
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
 from pmfid.durable import crash_point, hold
 from pmfid.errors import UsageError
+from pmfid.presentation import as_json
+from pmfid.stream.outcome import URGENT, Notice
 from pmfid.stream.tuning import TUNING
 
 #: Name of the file in the folder `[service] state`.
 FILE = "pmfid.sqlite"
 #: Version of the tables, and the number that marks such a file ("pmfd"). The file contains both.
-VERSION, APPLICATION = 4, 0x706D6664
+VERSION, APPLICATION = 5, 0x706D6664
 
 SCHEMA = """
 CREATE TABLE checkpoint (sequence INTEGER NOT NULL, checksum INTEGER NOT NULL);
@@ -27,10 +30,9 @@ CREATE TABLE notices (
     axis TEXT NOT NULL,       -- "" for the service itself
     event TEXT NOT NULL,
     wall REAL NOT NULL,       -- seconds since 1970 when it was found
-    what TEXT NOT NULL,       -- JSON, as `pmfid monitor --json` prints it
-    UNIQUE (number, axis, what)
+    what TEXT NOT NULL        -- JSON, as `pmfid monitor --json` prints it
 );
-CREATE INDEX notices_of_axis ON notices (axis, event, id);
+CREATE INDEX notices_of_event ON notices (event, axis, id);
 CREATE VIEW alarms AS SELECT
     id, number, axis, wall,
     json_extract(what, '$.time') AS time,  -- [s] by the clock of the axis
@@ -61,12 +63,10 @@ CREATE VIEW configurations AS SELECT id, axis, wall, config, digest, what FROM (
 ) WHERE digest IS NOT before;
 """
 
+INSERT = "INSERT INTO notices (number, axis, event, wall, what) VALUES (?, ?, ?, ?, ?)"
+ALARMS = f"""SELECT axis, number, wall, what FROM notices WHERE event IN {URGENT} ORDER BY id DESC LIMIT ?"""
 Event = dict[str, Any]
 Content = TypeVar("Content")
-
-
-class VersionError(UsageError):
-    """Raised for a file of another version, or of another program."""
 
 
 @contextmanager
@@ -81,7 +81,7 @@ def raise_os_errors(path: Path) -> Iterator[None]:
 def open_database(path: Path) -> sqlite3.Connection:
     """Open the file, which is made if it is absent. Any thread may use the connection, but only one at a time.
 
-    Raises sqlite3.Error for a file that cannot be used, and VersionError for a file of another version.
+    Raises sqlite3.Error for a file that cannot be used, and UsageError for a file of another version.
     """
     database = sqlite3.connect(path, timeout=TUNING.store_busy, isolation_level=None, check_same_thread=False)
     try:
@@ -99,7 +99,7 @@ def _prepare(database: sqlite3.Connection, path: Path) -> None:
     )
     new = application == 0 and not database.execute("SELECT 1 FROM sqlite_master").fetchone()
     if not new and (application, version) != (APPLICATION, VERSION):
-        raise VersionError(
+        raise UsageError(
             f"{path}: another version of pmfid, or another program, wrote this file; use that version, or choose "
             "another folder"
         )
@@ -128,7 +128,8 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
 
 
 class Vault:
-    """The states in the file of a folder, which only one service uses at a time. The folder is made if it is absent.
+    """States and notices in the file of a folder, which only one service uses at a time. The folder is made if it is
+    absent.
 
     `sequence` is the number of the last checkpoint. Raises UsageError if another service has the folder, or if the
     folder cannot be made.
@@ -139,15 +140,15 @@ class Vault:
         self._lock: IO[bytes] = hold(folder, "[service] state", "another service")
         self._database: sqlite3.Connection | None = None
 
-    def load(self, read: Callable[[bytes], Content], tell: Callable[[Event], None]) -> Content | None:
-        """Return the result of `read` for the states, or None without states.
+    def load(self, read: Callable[[bytes, list[Notice]], Content], tell: Callable[[Event], None]) -> Content | None:
+        """Return the result of `read` for the states and the latest notices of alarms, or None without states.
 
         A file that is damaged, or that `read` refuses with ValueError, is renamed and reported. Raises UsageError for a
         file of another version.
         """
         try:
             body = self._body()
-            return None if body is None else read(body)
+            return None if body is None else read(body, self._alarms())
         except (sqlite3.Error, ValueError) as error:
             self._set_aside(str(error), tell)
             return None
@@ -162,6 +163,10 @@ class Vault:
             raise ValueError("its checksum is wrong")
         self.sequence = max(self.sequence, int(row[0]))
         return body
+
+    def _alarms(self) -> list[Notice]:
+        rows = self._open().execute(ALARMS, (len(URGENT) * TUNING.outcome_most,)).fetchall()
+        return [Notice(axis, number, wall, json.loads(what)) for axis, number, wall, what in reversed(rows)]
 
     def _open(self) -> sqlite3.Connection:
         self._database = self._database or open_database(self.path)
@@ -186,28 +191,36 @@ class Vault:
             place, problem = self.path, f"{problem}; it cannot be set aside: {error.strerror}"
         tell({"event": "checkpoint", "damaged": place.name, "problem": problem})
 
-    def write(self, chunks: Sequence[bytes | memoryview]) -> None:
-        """Replace the states, which are on the disk when this method returns. Raises OSError if it fails, and the
-        previous states then remain."""
-        sequence, pieces, checksum = self.sequence + 1, list(_split(chunks)), 0
+    def write(self, chunks: Sequence[bytes | memoryview], notices: Iterable[Notice] = ()) -> None:
+        """Replace the states, if any are given, and add notices.
+
+        Both are on the disk when this method returns. Raises OSError if it fails, and then changes nothing.
+        """
+        rows = [(one.number, one.axis, one.what.get("event", ""), one.wall, as_json(one.what)) for one in notices]
         try:
             with raise_os_errors(self.path):
                 database = self._open()
                 with transaction(database):
-                    database.execute("DELETE FROM checkpoint")
-                    database.execute("DELETE FROM states")
-                    for part, piece in enumerate(pieces):
-                        if part == len(pieces) // 2:
-                            crash_point("checkpoint.half")
-                        checksum = zlib.crc32(piece, checksum)
-                        database.execute("INSERT INTO states VALUES (?, ?)", (part, piece))
-                    database.execute("INSERT INTO checkpoint VALUES (?, ?)", (sequence, checksum))
+                    database.executemany(INSERT, rows)
+                    if chunks:
+                        self._replace_states(database, list(_split(chunks)))
                     crash_point("checkpoint.written")
         except OSError:
             self._drop()  # the disk may be another one
             raise
-        self.sequence = sequence
+        self.sequence += bool(chunks)
         crash_point("checkpoint.durable")
+
+    def _replace_states(self, database: sqlite3.Connection, pieces: Sequence[memoryview]) -> None:
+        checksum = 0
+        database.execute("DELETE FROM checkpoint")
+        database.execute("DELETE FROM states")
+        for part, piece in enumerate(pieces):
+            if part == len(pieces) // 2:
+                crash_point("checkpoint.half")
+            checksum = zlib.crc32(piece, checksum)
+            database.execute("INSERT INTO states VALUES (?, ?)", (part, piece))
+        database.execute("INSERT INTO checkpoint VALUES (?, ?)", (self.sequence + 1, checksum))
 
     def close(self) -> None:
         """Unlock the folder for other services."""

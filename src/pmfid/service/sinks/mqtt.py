@@ -12,9 +12,10 @@ from urllib.parse import quote
 from pydantic import Field
 
 from pmfid.monitor.events import STATES
+from pmfid.presentation import as_json
 from pmfid.service.broker import BrokerSection, Text, new_client
 from pmfid.service.context import Context
-from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_objects
+from pmfid.service.sinks.plain import alarm_of, notice_object, row_objects
 from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
 from pmfid.monitor.events import STATES
-from pmfid.presentation import plain
+from pmfid.presentation import as_json
 from pmfid.stream.outcome import EstimateRows, Notice
 
 
@@ -39,14 +38,6 @@ def alarm_of(notice: Notice) -> int | None:
     """Return the number of the alarm that a notice acknowledges."""
     number = notice.what.get("alarm", notice.what.get("number"))
     return number if isinstance(number, int) else None
-
-
-def as_json(value: object) -> str:
-    """Return JSON on one line. A number that is not finite becomes null."""
-    try:
-        return json.dumps(value, allow_nan=False, separators=(",", ":"))
-    except (TypeError, ValueError):
-        return json.dumps(plain(value), allow_nan=False, separators=(",", ":"))
 
 
 def json_line(notice: Notice) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -16,9 +17,6 @@ from pmfid.service.broker import pauses
 from pmfid.service.context import Context, Outcome, Sink, Tell
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
-
-#: Events that a person waits for. All other events are dropped first.
-URGENT = frozenset({"alarm", "acknowledged", "settled", "cleared"})
 
 
 class QueueLimits(NamedTuple):
@@ -35,11 +33,6 @@ class Lost(NamedTuple):
 
     rows: int = 0
     notices: int = 0
-
-
-def is_urgent(notice: Notice) -> bool:
-    """Return whether a person waits for the outcome."""
-    return notice.what.get("event") in URGENT
 
 
 def size_of(rows: EstimateRows) -> int:
@@ -73,7 +66,7 @@ class OutcomeQueue:
             self._count(outcome, 1)
         return self._drop_excess()
 
-    def take(self, most: int) -> list[Outcome]:
+    def take(self, most: float = math.inf) -> list[Outcome]:
         """Return at most `most` outcomes, of each kind the oldest in order."""
         taken: list[Outcome] = []
         while self and len(taken) < most:
@@ -104,7 +97,7 @@ class OutcomeQueue:
         while len(self.rows) > 1 and self.size > self.limits.size:
             rows += self._pop_rows().axis.size
         while len(self.notices) > self.limits.notices:
-            del self.notices[next((k for k, one in enumerate(self.notices) if not is_urgent(one)), 0)]
+            del self.notices[next((k for k, one in enumerate(self.notices) if not one.urgent), 0)]
             notices += 1
         return Lost(rows, notices)
 
@@ -175,7 +168,7 @@ class Queued:
         """Return alarms, and notices on alarms, that the sink does not have yet. A checkpoint keeps these notices."""
         with self._changed:
             known = (*self._batch, *self._waiting.notices)
-            return [one for one in known if isinstance(one, Notice) and is_urgent(one)]
+            return [one for one in known if isinstance(one, Notice) and one.urgent]
 
     def works(self, since: float) -> bool | None:
         """Return whether the sink works, or None if unknown. A sink that waits for a silent server does not work."""

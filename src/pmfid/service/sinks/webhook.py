@@ -18,9 +18,10 @@ from pydantic import AfterValidator, Field
 
 from pmfid.config.model import Name, Positive
 from pmfid.errors import UsageError, did_you_mean, printable
+from pmfid.presentation import as_json
 from pmfid.service.broker import PLACE, Place, is_here, is_place, read_secret
 from pmfid.service.context import Context, RefusedError
-from pmfid.service.sinks.plain import as_json, notice_object
+from pmfid.service.sinks.plain import notice_object
 from pmfid.service.sinks.queued import QueueLimits, SinkSection
 from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.sentences import notice_sentence

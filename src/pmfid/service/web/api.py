@@ -18,8 +18,8 @@ from starlette.routing import Route
 
 from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
+from pmfid.presentation import as_json
 from pmfid.records.record import Record
-from pmfid.service.sinks.plain import as_json
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board, Overview, Records
 from pmfid.service.web.security import json_body
