@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pmfid.monitor import Monitor
 from pmfid.monitor.scores import Scale
+from pmfid.pipeline.monitored import setup
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.groups import Group, Pace, Prepared
+from pmfid.stream.groups import Group, Pace, Prepared, prepare
 from pmfid.stream.outcome import Counters
 from studies.monitoring.axis import INCREMENTS, changing
-from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
-from tests.test_architecture import REPOSITORY
 
 PACE = Pace(window=0.0, every=0.0)
 
 
-def rounded_otherwise(prepared: Prepared) -> Prepared:
-    """Return the configuration as a computer with other last bits calibrates it."""
+def rounded_otherwise(prepared: Prepared) -> str:
+    """Return the baseline of a computer with other last bits."""
     monitor = prepared.setup.monitor
     assert isinstance(monitor, Monitor)
     scale = monitor.calibration.scale
@@ -39,7 +34,7 @@ def rounded_otherwise(prepared: Prepared) -> Prepared:
         scale=Scale(inverse, scale.energy, scale.sigma),
     )
     text = json.loads(prepared.setup.baseline) | {"calibration": calibration}
-    return prepared.take_baseline(json.dumps(text, default=_plain))
+    return json.dumps(text, default=_plain)
 
 
 def _plain(value: object) -> object:
@@ -57,44 +52,36 @@ def state_of(prepared: Prepared, name: str) -> bytes:
 
 
 def test_a_state_keeps_its_nominal_values_and_thresholds(prepared: Prepared) -> None:
-    there = rounded_otherwise(prepared)
+    baseline = rounded_otherwise(prepared)
+    there = prepare(prepared.path, None, {prepared.digest: baseline})
+    assert there.setup.baseline == baseline
     saved = read_snapshot(state_of(there, "x1")).groups[0]
-    expected, restored = (saved.restore_group(one, PACE).fleet.monitor(0) for one in (there, prepared))
+    assert saved.baseline == baseline
+    restored = saved.restore_group(there, PACE).fleet.monitor(0)
     assert isinstance(restored, Monitor)
     assert restored.samples == 500
-    assert restored.get_state() == expected.get_state()
-    assert restored.calibration.theta.tolist() == there.setup.nominal.tolist()
+    assert restored.calibration.theta.tolist() == there.setup.nominal.tolist() != prepared.setup.nominal.tolist()
 
 
-PROGRAM = """
-import sys
-from pmfid.cli.main import main
-main(["serve", sys.argv[1], "--until-end", "--json"])
-"""
-SETTINGS = [
-    {"OPENBLAS_NUM_THREADS": "1", "OPENBLAS_CORETYPE": "Haswell"},
-    {"OPENBLAS_NUM_THREADS": "2", "OPENBLAS_CORETYPE": "Sandybridge"},
-    {"OPENBLAS_NUM_THREADS": "1", "OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4"},
-]
+#: Changes of AXIS.toml, each with another part in the baseline.
+GAIN = "[estimator]\ngiven = { mass = 1.07 }"
+CHANGES = {"counts": {}, "a gain": {"input_gain = 2.0": 'input_gain = "estimate"', "[estimator]": GAIN}}
 
 
-@pytest.mark.long
-def test_a_service_keeps_all_states_on_another_processor(folder: Path) -> None:  # noqa: F811
-    """Each start calibrates again."""
-    plant = folder / "moved.toml"
-    plant.write_text(PLANT.replace("window = 0.0", 'window = 0.0\nstate = "moved"'))
-    found = []
-    for setting in SETTINGS:
-        settings = {**os.environ, **setting}
-        command = [sys.executable, "-W", "ignore", "-c", PROGRAM, str(plant)]
-        with (folder / "run.csv").open() as pipe:
-            done = subprocess.run(
-                command, cwd=REPOSITORY, env=settings, stdin=pipe, capture_output=True, text=True, timeout=1200
-            )
-        reported = [json.loads(line) for line in done.stdout.splitlines()]
-        found += [one for one in reported if one["event"] == "checkpoint"]
-    assert [(one.get("restored"), one.get("fresh"), "changed" in one) for one in found] == [
-        (0, 1, False),
-        (1, 0, False),
-        (1, 0, False),
-    ]
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_baseline_makes_the_same_monitor_without_a_calibration(
+    prepared: Prepared, monkeypatch: pytest.MonkeyPatch, change: dict[str, str]
+) -> None:
+    path = prepared.path.with_name("changed.toml")
+    text = prepared.path.read_text()
+    for before, after in change.items():
+        assert before in text
+        text = text.replace(before, after)
+    path.write_text(text)
+    first = prepare(path)
+    monkeypatch.setattr(setup, "calibrate", None)
+    again = prepare(path, None, {first.digest: first.setup.baseline})
+    one, other = first.setup.monitor, again.setup.monitor
+    assert one.configuration_number == other.configuration_number
+    assert again.setup.baseline == first.setup.baseline
+    assert again.setup.reported.tolist() == first.setup.reported.tolist()

@@ -9,6 +9,7 @@ from random import Random
 
 import pytest
 
+from pmfid.pipeline.monitored import setup
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.wire.messages import Messages
 from pmfid.simulation import CART_DT
@@ -39,6 +40,12 @@ def edge_axis(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
 @pytest.fixture(scope="module")
 def motion() -> Motion:
     return cart_edges(heavier(9.0), 7, 16.0)
+
+
+def test_a_baseline_needs_no_calibration(prepared: Prepared, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setup, "learn_edges", None)
+    again = prepare(prepared.path, None, {prepared.digest: prepared.setup.baseline})
+    assert again.setup.nominal.tolist() == prepared.setup.nominal.tolist()
 
 
 def run(prepared: Prepared, deliveries: list[list[Item]], restarts: int = 0) -> Collected:

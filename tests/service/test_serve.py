@@ -19,6 +19,7 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
+from pmfid.pipeline.monitored import setup
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
@@ -88,13 +89,18 @@ axis = "x1"
 """
 
 
-def test_a_restart_goes_on_where_the_last_one_ended(folder: Path, tmp_path: Path) -> None:
+def test_a_restart_goes_on_where_the_last_one_ended(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     plant = folder / "plant.toml"
     plant.write_text(PLANT)
     head, *rows = (folder / "run.csv").read_text().splitlines(keepends=True)
     options = ("serve", str(plant), "--state", str(tmp_path / "state"), "--until-end", "--json")
-    parts = ("".join([head, *part]).encode() for part in (rows[:900], rows[900:]))
-    first, second = (called(*options, stdin=part) for part in parts)
+    parts = ["".join([head, *part]).encode() for part in (rows[:900], rows[900:])]
+    first = called(*options, stdin=parts[0])
+    with monkeypatch.context() as patched:
+        patched.setattr(setup, "calibrate", None)  # the thresholds are those of the first start
+        second = called(*options, stdin=parts[1])
     whole = events(served(plant, "--json"), *FOUND)
     assert [alarm["event"] for alarm in whole].count("alarm") == 1
     found = events(first, *FOUND) + events(second, *FOUND)

@@ -22,12 +22,13 @@ Made = TypeVar("Made")
 
 @dataclass
 class Configurations:
-    """The configurations of a plant, each calibrated once.
+    """The configurations of a plant, each calibrated once. `baselines` are those of `prepare`.
 
     A configuration that fails is reported, and only its own axes are lost.
     """
 
     tell: Tell
+    baselines: Mapping[str, str] = field(default_factory=dict)
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
     _stamps: dict[Path, str] = field(default_factory=dict, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
@@ -63,7 +64,9 @@ class Configurations:
             equal.setdefault(stamps[path], []).append(path)
         if self._stopped.is_set():
             return
-        futures = {self._pool.submit(prepare, paths[0], configs[paths[0]]): paths for paths in equal.values()}
+        futures = {
+            self._pool.submit(prepare, paths[0], configs[paths[0]], self.baselines): paths for paths in equal.values()
+        }
         for future in as_completed(futures):
             if self._stopped.is_set():
                 return

@@ -152,6 +152,7 @@ class Service:
         self._needed = {path for name, path in plant.axes.items() if name in restored} & self._configs.keys()
         self._engine.waiting = bool(self._needed)
         if self._saved is not None:
+            self._configurations.baselines = {group.digest: group.baseline for group in self._saved.groups}
             self._saved.restore(self._engine)
             self._unwritten = self._saved.unwritten
             for notice in self._saved.alarms:

@@ -100,8 +100,10 @@ class Saved:
     rare: Mapping[str, Any]
 
     def restore_group(self, prepared: Prepared, pace: Pace) -> Group:
-        """Restore the group from its saved state. Raises ValueError for a state that no group has saved."""
-        group = Group(prepared.take_baseline(self.baseline), pace)
+        """Restore the group from its saved state. Raises ValueError for a state of no group with the baseline of
+        `prepared`.
+        """
+        group = Group(prepared, pace)
         try:
             group.restore(self.axes, self.state)
             positions = read(self.seats, Positions.empty(1), 0)

@@ -6,7 +6,7 @@ import math
 import struct
 from bisect import insort
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import blake2b, file_digest, sha256
 from operator import attrgetter
@@ -193,28 +193,16 @@ class Prepared:
     def dt(self) -> float:
         return self.setup.monitor.estimator.dt
 
-    def take_baseline(self, text: str) -> Prepared:
-        """Return the configuration with the nominal values and thresholds of an earlier run (`Setup.baseline`).
 
-        Raises ValueError for a text that no such configuration has saved.
-        """
-        if text == self.setup.baseline:
-            return self
-        try:
-            return replace(self, setup=self.setup.take_baseline(text))
-        except (TypeError, KeyError, UsageError) as error:
-            raise ValueError(f"the nominal values do not fit the configuration: {error}") from None
+def prepare(path: Path, given: Axis | None = None, baselines: Mapping[str, str] | None = None) -> Prepared:
+    """Read a configuration, and calibrate it unless its baseline is known.
 
-
-def prepare(path: Path, given: Axis | None = None) -> Prepared:
-    """Read and calibrate a configuration.
-
-    `given` is the content of AXIS.toml if it was already read. Raises UsageError or NotIdentifiableError as `set_up`
-    does.
+    `given` is the content of AXIS.toml if it was already read. `baselines` maps digests of configurations to the
+    baselines of an earlier run. Raises UsageError or NotIdentifiableError as `set_up` does.
     """
     axis = load_axis(path) if given is None else given
-    setup = set_up(axis, path.parent, None)
-    return Prepared(path, axis, setup, _digest(path, axis))
+    digest = _digest(path, axis)
+    return Prepared(path, axis, set_up(axis, path.parent, None, (baselines or {}).get(digest)), digest)
 
 
 def _digest(path: Path, axis: Axis) -> str:

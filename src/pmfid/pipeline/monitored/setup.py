@@ -74,29 +74,12 @@ class Setup:
         """The numbers that a monitor got from its reference, as text: nominal values, thresholds and input gain.
 
         A linear algebra rounds them by the kind of processor and by the number of threads. States of a monitor
-        therefore travel together with its baseline.
+        therefore travel together with its baseline, from which `set_up` makes the same monitor.
         """
         if isinstance(self.monitor, EdgeMonitor):
             return json.dumps({"nominal": self.nominal.tolist()})
         gain, calibration = self.monitor.estimator.equation.input_gain, asdict(self.monitor.calibration)
         return json.dumps({"calibration": calibration, "input_gain": gain}, default=lambda array: array.tolist())
-
-    def take_baseline(self, text: str) -> Setup:
-        """Return the same monitor at its start with the baseline of an earlier run.
-
-        Raises ValueError, TypeError, KeyError or UsageError for a text that no such monitor has saved.
-        """
-        raw = json.loads(text)
-        if isinstance(self.monitor, EdgeMonitor):
-            nominal = np.array(raw["nominal"], np.float64)
-            return Setup(EdgeMonitor(self.monitor.estimator, nominal, self.monitor.watch), nominal, self.notes)
-        calibration, known = _read_fields(Calibration, raw["calibration"]), self.monitor.known
-        estimator = self.monitor.estimator
-        if known is not None and known.find_gain:
-            estimator = replace(estimator, model=replace(estimator.model, input_gain=float(raw["input_gain"])))  # type: ignore[type-var]
-            known = replace(known, estimator=estimator)
-        estimator = _begin_at(estimator, calibration.theta)
-        return Setup(Monitor(estimator, calibration, self.monitor.watch, known), calibration.theta, self.notes)
 
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
@@ -122,12 +105,13 @@ def _begin_at(estimator: RecursiveEstimator, nominal: Floats) -> RecursiveEstima
     return replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
 
 
-def set_up(axis: Axis, folder: Path, record: Record | None) -> Setup:
+def set_up(axis: Axis, folder: Path, record: Record | None, baseline: str | None = None) -> Setup:
     """Return the monitor of AXIS.toml in `folder` for a record, or for a pipe if `record` is None.
 
-    The monitor is that of edges if the configuration, and the record if there is one, has their ages. Raises UsageError
-    if both reference and record are missing, or if the nominal values are missing. Raises NotIdentifiableError if the
-    reference cannot identify the nominal values.
+    The monitor is that of edges if the configuration, and the record if there is one, has their ages. A `baseline` of
+    the same configuration saves the time of the calibration. Raises UsageError if both reference and record are
+    missing, or if the nominal values are missing. Raises NotIdentifiableError if the reference cannot identify the
+    nominal values.
     """
     edges, config = takes_edges(axis) and (record is None or record.ages is not None), axis.monitor
     if edges and axis.record.friction_temperature is not None:
@@ -147,15 +131,18 @@ def set_up(axis: Axis, folder: Path, record: Record | None) -> Setup:
             f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same "
             "sample period"
         )
-    return _set_up_edges(axis, normal, record) if edges else _set_up_counts(axis, normal, record)
+    raw = None if baseline is None else json.loads(baseline)
+    return _set_up_edges(axis, normal, record, raw) if edges else _set_up_counts(axis, normal, record, raw)
 
 
-def _set_up_edges(axis: Axis, normal: Record | None, record: Record | None) -> Setup:
+def _set_up_edges(axis: Axis, normal: Record | None, record: Record | None, raw: dict[str, Any] | None) -> Setup:
     """Return the monitor of edges. The normal parameters are given, or those of the reference by the same estimator."""
     source, config = record or normal, axis.monitor
     assert source is not None  # as checked
     estimator = make_edge_estimator(axis, source)
-    if config.nominal is not None or normal is None:
+    if raw is not None:
+        nominal = np.array(raw["nominal"], np.float64)
+    elif config.nominal is not None or normal is None:
         nominal = initial_vector(config.nominal or {}, estimator.names)
     else:
         nominal = learn_edges(axis, normal)
@@ -163,7 +150,7 @@ def _set_up_edges(axis: Axis, normal: Record | None, record: Record | None) -> S
     return Setup(EdgeMonitor(following, nominal, Watch(config.mtbf_hours, config.tolerance)), nominal)
 
 
-def _set_up_counts(axis: Axis, normal: Record | None, record: Record | None) -> Setup:
+def _set_up_counts(axis: Axis, normal: Record | None, record: Record | None, raw: dict[str, Any] | None) -> Setup:
     """Return the monitor of counts.
 
     Without a reference, the record's own input calibrates the monitor, with the encoder as the only noise.
@@ -171,15 +158,17 @@ def _set_up_counts(axis: Axis, normal: Record | None, record: Record | None) -> 
     source, config, notes = normal or record, axis.monitor, list[str]()
     assert source is not None  # as checked
     on_line = kind_of(axis).prepare_axis(source, _configure_recursive(axis, source.dt))
-    estimator = _estimator(_set_normal_gain(on_line, source), source, wraps=record is None)
+    gain = None if raw is None else float(raw["input_gain"])
+    estimator = _estimator(_set_normal_gain(on_line, source, gain), source, wraps=record is None)
     known = known_of(axis, estimator)
-    nominal = _nominal(estimator, config.nominal, source, known)
+    calibration = None if raw is None else _read_fields(Calibration, raw["calibration"])
+    nominal = _nominal(estimator, config.nominal, source, known) if calibration is None else calibration.theta
     estimator = _begin_at(estimator, nominal)
     if normal is None:
         notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
     counts = None if normal is None else source.counts
     temperature = None if normal is None else source.temperature
-    calibration = calibrate(estimator, nominal, source.u, counts, temperature)
+    calibration = calibration or calibrate(estimator, nominal, source.u, counts, temperature)
     notes += calibration_notes(calibration, config.mtbf_hours)
     watch = Watch(config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch, known), nominal, tuple(notes))
@@ -244,13 +233,16 @@ def _estimator(axis: Axis, source: Record, wraps: bool) -> RecursiveEstimator:
     return estimator
 
 
-def _set_normal_gain(axis: Axis, source: Record) -> Axis:
+def _set_normal_gain(axis: Axis, source: Record, known: float | None) -> Axis:
     """Return the axis with the input gain of normal work if the gain is estimated.
 
-    The gain comes from [monitor] nominal or the reference. Raises UsageError if nominal has no input gain.
+    The gain comes from a baseline (`known`), [monitor] nominal or the reference. Raises UsageError if nominal has no
+    input gain.
     """
     if not finds_gain(axis):
         return axis
+    if known is not None:
+        return set_gain(axis, known)
     given = axis.monitor.nominal
     if given is not None and INPUT_GAIN not in given:
         raise UsageError(f"[monitor] nominal must name {INPUT_GAIN}, too, if [model] leaves it to be estimated")
