@@ -43,13 +43,12 @@ def _small(place: Path) -> AbstractContextManager[bool]:
 class Disk:
     """A fault of the disk that holds the state of a hall.
 
-    `how` describes the fault, `begin` and `end` cause and remove it, and `hits` are the counters that it must affect.
+    `how` describes the fault, and `begin` and `end` cause and remove it.
     """
 
     how: str
     begin: Callable[[], object]
     end: Callable[[], object]
-    hits: tuple[str, ...]
 
 
 def full(state: Path) -> Disk:
@@ -60,20 +59,7 @@ def full(state: Path) -> Disk:
             while file.write(bytes(4096)):
                 pass
 
-    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink, ("checkpoint", "history"))
-
-
-def read_only(state: Path) -> Disk:
-    """Return the fault of a read-only mount over the folder: files that are opened later are read-only.
-
-    The kernel refuses `mount -o remount,ro` itself while a file is open for writing.
-    """
-    if run("mount", "--bind", state, state):
-        run("mount", "-o", "remount,ro,bind", state)
-        how = "disk read-only (mounted over, `remount,ro,bind`)"
-        return Disk(how, lambda: None, lambda: run("umount", state), ("checkpoint",))
-    how = "disk read-only (chmod, for want of root)"
-    return Disk(how, lambda: state.chmod(0o555), lambda: state.chmod(0o755), ("checkpoint",))
+    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink)
 
 
 def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
@@ -89,13 +75,13 @@ def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
         there.post(f"/api/axis/{name_of(0)}/reference")  # a notice that must not be lost
         there.play(DURING / 2)
         during, reported = there.through(), there.notices()
-        claims = list(_stopped(there, disk, during, reported))
+        claims = list(_stopped(there, during, reported))
         disk.end()
         there.play(AFTER)
         there.through()
-        after, later = _recovered(there, disk.hits), there.notices()
+        after, later = _recovered(there), there.notices()
         claims = [others_unchanged(there), without_alarm([*reported, *later]), *claims]
-        claims += [(f"{one} works again without a restart", _works(after, one)) for one in disk.hits]
+        claims.append(("the checkpoint works again without a restart", _works(after)))
         kept = _notices_in(place / "state" / FILE)
         claims.append((f"reference set meanwhile is in the history ({kept} notices)", kept > 0))
         return Finding(
@@ -103,26 +89,23 @@ def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
         )
 
 
-def _works(metrics: Metrics, what: str) -> bool:
-    name = "pmfid_checkpoint_working" if what == "checkpoint" else f'pmfid_sink_working{{sink="{what}"}}'
-    return metrics.get(name) == 1.0
+def _works(metrics: Metrics) -> bool:
+    return metrics.get("pmfid_checkpoint_working") == 1.0
 
 
-def _recovered(there: Hall, hits: tuple[str, ...]) -> Metrics:
-    """Return the metrics once all works again, or after a minute: pauses between attempts grow to a minute."""
+def _recovered(there: Hall) -> Metrics:
+    """Return the metrics once checkpoints work again, or after a minute: pauses between attempts grow to a minute."""
     end = time.monotonic() + 1.2 * PATIENCE
     while True:
         metrics = there.served.metrics()
-        if all(_works(metrics, one) for one in hits) or time.monotonic() > end:
+        if _works(metrics) or time.monotonic() > end:
             return metrics
         time.sleep(0.5)
 
 
-def _stopped(there: Hall, disk: Disk, during: Metrics, reported: list[Report]) -> Iterator[tuple[str, bool]]:
-    said = {str(one.get("sink", one["event"])) for one in reported if "problem" in one}
-    for one in disk.hits:
-        yield f"/metrics show that {one} does not work", not _works(during, one)
-        yield f"a notice says so of {one}", one in said
+def _stopped(there: Hall, during: Metrics, reported: list[Report]) -> Iterator[tuple[str, bool]]:
+    yield "/metrics show that checkpoints do not work", not _works(during)
+    yield "a notice says so", any(one["event"] == "checkpoint" and "problem" in one for one in reported)
     yield f"{there.accounted(during):g} of {there.sent} samples so far", there.accounted(during) == there.sent
 
 
@@ -156,8 +139,7 @@ def forced_read_only(place: Path) -> Finding | None:
                 device.write_text("1")
             there.play(DURING)
             during, reported = there.through(), there.notices()
-            disk = Disk("", lambda: None, lambda: None, ("checkpoint",))
-            claims = [others_unchanged(there), without_alarm(reported), *_stopped(there, disk, during, reported)]
+            claims = [others_unchanged(there), without_alarm(reported), *_stopped(there, during, reported)]
             at = there.at
     with mounted(place / "state", *how):
         claims += _again(place, at)

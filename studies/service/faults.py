@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from studies.service.disk_faults import disk_fault, forced_read_only, full, read_only
+from studies.service.disk_faults import disk_fault, forced_read_only, full
 from studies.service.finding import Finding
 from studies.service.hall import hall
 from studies.service.message_faults import message_faults, wraps
@@ -47,7 +47,6 @@ def of_encoders(place: Path) -> Iterator[Finding]:
 
 def of_disks(place: Path) -> Iterator[Finding]:
     yield disk_fault(place / "full", full)
-    yield disk_fault(place / "read-only", read_only)
     forced = forced_read_only(place / "forced")
     if forced is not None:
         yield forced

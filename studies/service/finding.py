@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pmfid.stream.outcome import Notice
-from pmfid.stream.sentences import notice_line
 from studies.service.hall import Hall, Metrics, Report
 
 #: Metrics that a fault may change. All other metrics change by themselves.
@@ -50,10 +48,8 @@ def sentences(notices: Sequence[Report]) -> list[str]:
     for one in notices:
         if one["event"] in ("state", "configuration", "serving"):
             continue
-        what = {key: value for key, value in one.items() if key not in ("axis", "number", "wall")}
-        text = notice_line(Notice(one["axis"], one["number"], one["wall"], what))
-        if text:
-            reported[text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."] += 1
+        text = f"{one['axis']}  {one['text']}" if one["axis"] else str(one["text"])
+        reported[text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."] += 1
     return [text if times == 1 else f"{text} ({times} times)" for text, times in reported.items()]
 
 

@@ -139,10 +139,10 @@ class FakePlant:
 
     def refer(self, axis: str) -> bool:
         group = self.board.group_of(axis)
-        rows = self.board.history(axis)
-        if group is None or rows is None:
+        found = self.board.follow(axis, -1)
+        if group is None or found is None:
             return False
-        normal = dict(zip(group.names, rows["theta"][-1].tolist(), strict=True))
+        normal = dict(zip(group.names, found[0]["theta"][-1].tolist(), strict=True))
         self.tell(axis, event="reference", time=self.samples * DT, nominal=normal)
         return True
 

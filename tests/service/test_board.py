@@ -45,11 +45,12 @@ def test_history_keeps_a_row_in_every_seconds_and_forgets_the_oldest() -> None:
     board = board_of(group, budget=2 * 32 * row_type(len(group.names)).itemsize, every=1.0)
     for k in range(200):
         board.rows(rows_of(group, [0], [k], time=[0.25 * k]))
-    history = board.history("a")
-    assert history is not None
-    assert history["time"].tolist() == [float(k) for k in range(18, 50)]
-    assert board.history("b").size == 0  # type: ignore[union-attr]
-    assert board.history("nobody") is None
+    kept, nothing = board.follow("a", -1), board.follow("b", -1)
+    assert kept is not None
+    assert nothing is not None
+    assert kept[0]["time"].tolist() == [float(k) for k in range(18, 50)]
+    assert nothing[0].size == 0
+    assert board.follow("nobody", -1) is None
 
 
 def alarm(number: int, axis: str = "a") -> Notice:
@@ -61,11 +62,12 @@ def test_an_alarm_is_reported_once_acknowledged_and_settled() -> None:
     board.notice(alarm(7))
     seen = board.news().version
     board.notice(alarm(7))  # the same notice as after a restart
-    board.notice(Notice("a", 8, 5.0, {"event": "settled", "time": 3.0, "parameters": {"mass": {"value": 2.1}}}))
+    values = {"time": 3.0, "parameters": {"mass": {"value": 2.1}}, "changes": [{"parameter": "mass", "relative": 0.1}]}
+    board.notice(Notice("a", 8, 5.0, {"event": "settled", **values}))
     board.notice(Notice("a", 9, 6.0, {"event": "acknowledged", "alarm": 7, "note": "seal changed"}))
     (found,) = board.news().alarms
     assert (found.number, found.note, found.acknowledged) == (7, "seal changed", 6.0)
-    assert found.settled == {"time": 3.0, "parameters": {"mass": {"value": 2.1}}}
+    assert found.settled == values
     assert [alarm.number for alarm in board.news(seen).alarms] == [7]
 
 

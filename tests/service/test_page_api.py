@@ -41,10 +41,13 @@ def test_news_begin_with_everything_and_go_on_with_changes(page: Served) -> None
     assert first["first"]
     assert [alarm["axis"] for alarm in first["alarms"]] == ["gantry-x2", "gantry-z"]
     assert first["alarms"][1]["note"].startswith("Seal was changed")
+    assert first["alarms"][0]["text"] == "mass is 7.8 % higher than normal (+0.16 ± 0.011 kg)"
+    assert first["alarms"][0]["size"] == "3.9 times the tolerance of 2 %"
     number = page.plant.tell("gripper", event="gap", missing=3)
     second = page.json(f"/api/news?since={first['version']}")
     assert not second["first"]
-    assert [notice["number"] for notice in second["notices"]] == [number]
+    (told,) = second["notices"]
+    assert (told["number"], told["text"]) == (number, "3 samples are missing before this one")
     assert (second["alarms"], second["groups"]) == ([], [])
     axis, deviation = (unpacked(first["groups"][0][name]) for name in ("axis", "deviation"))
     assert axis.tolist() == list(range(6))
@@ -62,10 +65,10 @@ def test_every_row_of_an_axis_that_a_browser_looks_at_arrives_bit_by_bit(
         assert answer["groups"] == []
         return unpacked(answer["rows"]["number"]), unpacked(answer["rows"]["theta"][0])
 
-    kept = board.history("gantry-y")
     number, theta = ask(-1)
+    kept = board.follow("gantry-y", -1)
     assert kept is not None
-    assert (number.tolist(), theta.tobytes()) == (kept["number"].tolist(), kept["theta"][:, 0].tobytes())
+    assert (number.tolist(), theta.tobytes()) == (kept[0]["number"].tolist(), kept[0]["theta"][:, 0].tobytes())
     assert board.list_followed() == {"gantry-y"}
     made = list[Records]()
     records = Panel.records

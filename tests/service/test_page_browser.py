@@ -120,9 +120,9 @@ def test_one_axis_is_live_stands_still_and_gives_what_is_seen(browser: Any, tmp_
             page.click("text=Save as CSV")
         lines = Path(download.value.path()).read_text().splitlines()
         assert lines[0].startswith("t [s],u [N],counts,mass [kg],mass_std [kg],")
-        kept = plant.board.history("gantry-x2")
+        kept = plant.board.follow("gantry-x2", -1)
         assert kept is not None
-        theta = dict(zip(kept["time"].tolist(), kept["theta"][:, 0].tolist(), strict=True))
+        theta = dict(zip(kept[0]["time"].tolist(), kept[0]["theta"][:, 0].tolist(), strict=True))
         rows = [[float(cell) for cell in line.split(",")[:4]] for line in lines[2:]]
         assert len(rows) > 50
         assert all(theta[row[0]] == row[3] for row in rows if row[0] in theta), "to the last bit"

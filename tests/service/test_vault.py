@@ -123,13 +123,8 @@ def test_alarms_acknowledgements_and_configurations_have_views(tmp_path: Path) -
         (1, "seen; DROP TABLE notices")
     ]
     assert of(tmp_path, "SELECT axis, config, digest FROM configurations") == [("x1", "cart.toml", "ab12")]
-    assert of(tmp_path, "SELECT number, event, json_extract(what, '$.missing') FROM notices ORDER BY id") == [
-        (1, "alarm", None),
-        (2, "gap", 5),
-        (3, "configuration", None),
-        (4, "acknowledged", None),
-    ]
-    assert of(tmp_path, "PRAGMA journal_mode") == [("wal",)]
+    events = [event for (event,) in of(tmp_path, "SELECT event FROM notices ORDER BY id")]
+    assert events == ["alarm", "gap", "configuration", "acknowledged"]
 
 
 WRITER = """

@@ -112,9 +112,6 @@ class AlarmRecord:
     settled: dict[str, Any] | None = None
     cleared: float | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        return {**self.what, **{key: value for key, value in vars(self).items() if key != "what"}}
-
 
 @dataclass
 class Alarms:
@@ -128,8 +125,7 @@ class Alarms:
         if event == "alarm":
             return self._raise(notice)
         if event == "acknowledged":
-            known = what.get("alarm", what.get("number"))
-            return self._change(known, note=str(what.get("note", "")), acknowledged=notice.wall)
+            return self._change(what.get("alarm"), note=str(what.get("note", "")), acknowledged=notice.wall)
         if event == "cleared":
             return self._change(what.get("alarm"), cleared=notice.wall)
         return self._settle(notice) if event == "settled" else []
@@ -153,7 +149,7 @@ class Alarms:
     def _settle(self, notice: Notice) -> list[AlarmRecord]:
         """Settle the alarms of the axis that have no new values yet, and the last alarm again if its change goes on."""
         what = notice.what
-        new_values: dict[str, Any] = {key: what[key] for key in ("time", "parameters", "rate") if key in what}
+        new_values: dict[str, Any] = {key: value for key, value in what.items() if key != "event"}
         own = [one for one in self._all.values() if one.axis == notice.axis and "silent" not in one.what]
         last = own[-1:] if what.get("rate") else []
         open_ones = [alarm for alarm in own if alarm.settled is None or alarm in last]

@@ -42,28 +42,41 @@ def notice_sentence(notice: Notice) -> str:
 # --- monitors ---------------------------------------------------------------------------------------------------------
 
 
-def _alarm(what: Fields) -> str:
+def describe_cause(what: Fields) -> str:
+    """Return the changes of an alarm, or what is silent."""
     if "silent" in what:
         return str(what["problem"])
     others = f", or {_words(what['others'])}" if what.get("others") else ""
-    text = " and ".join(map(_change, (what, *what.get("further", ())))) + others
-    if what.get("tolerance") and "relative" in what:
-        times = abs(what["relative"]) / what["tolerance"]
-        text += f"; {times:.2g} times the tolerance of {100 * what['tolerance']:g} %"
+    return " and ".join(map(_change, (what, *what.get("further", ())))) + others
+
+
+def describe_size(what: Fields) -> str:
+    """Return the size of an alarm's change in tolerances, or an empty text."""
+    if not (what.get("tolerance") and "relative" in what):
+        return ""
+    return f"{abs(what['relative']) / what['tolerance']:.2g} times the tolerance of {100 * what['tolerance']:g} %"
+
+
+def _alarm(what: Fields) -> str:
+    text = "; ".join(part for part in (describe_cause(what), describe_size(what)) if part)
     return f"{text}. {what['advice']}" if what.get("advice") else text
 
 
 def _change(what: Fields) -> str:
     name, relative = _words(what.get("parameter", "a parameter")), _finite(what.get("relative"))
-    error = "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
     unit = f" {what['unit']}" if what.get("unit") else ""
-    size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{error}{unit})"
+    size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{_error(what)}{unit})"
     if relative is None:
         return f"{name} has changed{size}"
     return f"{name} is {100 * abs(relative):.3g} % {'lower' if relative < 0 else 'higher'} than normal{size}"
 
 
-def _describe_values(what: Fields) -> str:
+def _error(what: Fields) -> str:
+    return "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
+
+
+def describe_values(what: Fields) -> str:
+    """Return the new values after an alarm, and the changes by all samples since."""
     values = ", ".join(f"{_words(name)} {_value(found)}" for name, found in what.get("parameters", {}).items())
     changes = [f"{_words(one['parameter'])} {100 * one['relative']:+.1f} %" for one in what.get("changes", ())]
     others = f", or {_words(what['others'])}" if what.get("others") else ""
@@ -73,7 +86,7 @@ def _describe_values(what: Fields) -> str:
 
 def _value(found: Fields) -> str:
     change = "" if found.get("change") is None else f" ({100 * found['change']:+.1f} %)"
-    return f"{found['value']:.4g}{change}"
+    return f"{found['value']:.4g}{_error(found)}{change}"
 
 
 def _rate(rate: float | None) -> str:
@@ -153,7 +166,7 @@ def _describe_acknowledgement(what: Fields) -> str:
     if "problem" in what:
         return str(what["problem"])
     note = f': "{what["note"]}"' if what.get("note") else ""
-    return f"alarm {what.get('alarm', what.get('number'))} acknowledged{note}"
+    return f"alarm {what['alarm']} acknowledged{note}"
 
 
 def _reference(what: Fields) -> str:
@@ -198,7 +211,7 @@ def _words(name: object) -> str:
 
 _SENTENCES: dict[str, Callable[[Fields], str]] = {
     "alarm": _alarm,
-    "settled": _describe_values,
+    "settled": describe_values,
     "state": _state,
     "gap": lambda what: f"{what['missing']} samples are missing before this one",
     "clock": _clock,

@@ -51,7 +51,7 @@ CREATE VIEW acknowledgements AS SELECT
     -- The newest alarm of the number, because a service that lost its state counts from 1 again.
     (SELECT max(alarm.id) FROM notices AS alarm WHERE alarm.event = 'alarm' AND alarm.axis = known.axis
         AND alarm.id < known.id
-        AND alarm.number = coalesce(json_extract(known.what, '$.alarm'), json_extract(known.what, '$.number'))
+        AND alarm.number = json_extract(known.what, '$.alarm')
     ) AS alarm,
     axis, wall, coalesce(json_extract(what, '$.note'), '') AS note
 FROM notices AS known WHERE event = 'acknowledged';

@@ -15,7 +15,7 @@ from pmfid.monitor.events import STATES
 from pmfid.presentation import as_json
 from pmfid.service.broker import BrokerSection, Text, new_client
 from pmfid.service.context import Context
-from pmfid.service.sinks.plain import alarm_of, notice_object, row_objects
+from pmfid.service.sinks.plain import notice_object, row_objects
 from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
@@ -209,7 +209,7 @@ class MqttSink:
             return self._topic("alarms", notice.axis)
         if kind == "axis":
             return f"{self._topic('alarms', notice.axis)}/silent"
-        name = f"{alarm_of(notice) or notice.number}" if kind == "axes" else str(notice.what["name"])
+        name = f"{notice.what.get('alarm', notice.number)}" if kind == "axes" else str(notice.what["name"])
         return f"{self._topic('alarms', f'_{kind}')}/{quote(name, safe='')}/silent"
 
     def _retain(self, topic: str, number: int, payload: bytes) -> None:
@@ -220,7 +220,7 @@ class MqttSink:
         """Return whether the alarm of a topic is over. An alarm that was raised before this start is unknown here."""
         if notice.what.get("event") == "acknowledged":
             standing, named = self._standing.get(topic), notice.axis or "silent" in notice.what
-            return bool(named) and (standing is None or not standing[1] or standing[0] == alarm_of(notice))
+            return bool(named) and (standing is None or not standing[1] or standing[0] == notice.what["alarm"])
         return notice.what.get("event") == "cleared"
 
     def close(self) -> None:

@@ -27,17 +27,7 @@ def notice_object(notice: Notice) -> dict[str, Any]:
 
     The object has axis, number and wall time, followed by the keys that `pmfid monitor --json` prints for the event.
     """
-    return {"axis": notice.axis, "number": notice.number, "wall": notice.wall} | {
-        # An acknowledgement has its own number in addition to the number of its alarm.
-        {"number": "alarm"}.get(key, key): value
-        for key, value in notice.what.items()
-    }
-
-
-def alarm_of(notice: Notice) -> int | None:
-    """Return the number of the alarm that a notice acknowledges."""
-    number = notice.what.get("alarm", notice.what.get("number"))
-    return number if isinstance(number, int) else None
+    return {"axis": notice.axis, "number": notice.number, "wall": notice.wall, **notice.what}
 
 
 def json_line(notice: Notice) -> str:

@@ -25,7 +25,8 @@ from pmfid.service.web.board import Board, Overview, Records
 from pmfid.service.web.security import json_body
 from pmfid.status import ADVICE, Status
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.outcome import Counters
+from pmfid.stream.outcome import AlarmRecord, Counters
+from pmfid.stream.sentences import describe_cause, describe_size, describe_values, sentence
 
 
 def pack_array(array: NDArray[np.generic], kind: str) -> str:
@@ -133,8 +134,12 @@ class Api:
             "layout": news.layout,
             "now": round(10 * (time.monotonic() - self.start)),
             "groups": [pack_overview(i, group, self.start) for i, group in changed],
-            "notices": [{"axis": n.axis, "number": n.number, "wall": n.wall, **n.what} for n in notices],
-            "alarms": [alarm.to_dict() for alarm in news.alarms],
+            "notices": [
+                {**n.what, "axis": n.axis, "number": n.number, "wall": n.wall, "text": text}
+                for n in notices
+                if (text := sentence(n.what))
+            ],
+            "alarms": [_describe(alarm) for alarm in news.alarms],
             "counters": [[name, dict(labels), value] for (name, labels), value in self.counters.values().items()],
         }
 
@@ -199,6 +204,13 @@ class Api:
     async def health(self, request: Request) -> Response:
         alive = self.alive()
         return PlainTextResponse("ok\n" if alive else "the engine does not run\n", 200 if alive else 503)
+
+
+def _describe(alarm: AlarmRecord) -> dict[str, object]:
+    """Return an alarm with its sentences."""
+    course = {key: value for key, value in vars(alarm).items() if key != "what"}
+    texts = {"text": describe_cause(alarm.what), "size": describe_size(alarm.what)}
+    return {**alarm.what, **course, **texts, "now": alarm.settled and describe_values(alarm.settled)}
 
 
 def _answer(content: dict[str, object]) -> Response:

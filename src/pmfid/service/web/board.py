@@ -354,12 +354,6 @@ class Board:
             panel = self._by_axis.get(axis)
             return panel.group if panel else None
 
-    def history(self, axis: str) -> Records | None:
-        """Return the kept rows of an axis, oldest first, or None for an unknown axis."""
-        with self._lock:
-            panel = self._by_axis.get(axis)
-            return panel.history(panel.place[axis]) if panel else None
-
     def follow(self, axis: str, after: int) -> tuple[Records, float] | None:
         """Return the rows of an axis after its sample `after`, oldest first, and `time.monotonic()` of the last data.
 

@@ -1,7 +1,7 @@
 // The page: the token, the plant, which view is shown, and how the connection is.
 import { Poll, ask } from "./api.js";
 import { AxisView } from "./axis.js";
-import { causeOf, ownerOf } from "./alarms.js";
+import { ownerOf } from "./alarms.js";
 import { el, say } from "./dom.js";
 import { Overview } from "./overview.js";
 import { Plant } from "./plant.js";
@@ -36,7 +36,7 @@ function showConnection({ live, retry, problem, status }) {
 
 function announce(alarms) {
   const spoken = document.getElementById("spoken");
-  for (const alarm of alarms) spoken.append(el("span", {}, `Alarm of ${ownerOf(alarm)}: ${causeOf(alarm)}. `));
+  for (const alarm of alarms) spoken.append(el("span", {}, `Alarm of ${ownerOf(alarm)}: ${alarm.text}. `));
   while (spoken.childNodes.length > 5) spoken.firstChild.remove();
 }
 

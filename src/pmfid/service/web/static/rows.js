@@ -1,6 +1,6 @@
 // The table of axes: only the rows in sight are there, whatever the number of axes; a table to a screen reader all the
 // same, which is told how many rows it has.
-import { axisLink, causeOf } from "./alarms.js";
+import { axisLink } from "./alarms.js";
 import { el, say } from "./dom.js";
 import { age, percent, unitOf, withError, words } from "./format.js";
 import { MEANING, WORD, icon } from "./states.js";
@@ -129,7 +129,7 @@ export class Rows {
   }
 
   why(i, kind) {
-    if (kind === "alarm") return causeOf(this.plant.changed(i)) + (this.plant.silent(i) ? "; data have stopped" : "");
+    if (kind === "alarm") return this.plant.changed(i).text + (this.plant.silent(i) ? "; data have stopped" : "");
     if (kind === "silent") return Number.isFinite(this.plant.received[i]) ? "data have stopped" : "nothing has come yet";
     const bits = this.plant.bits(this.plant.status32[i]).map((one) => words(one.name));
     if (bits.length) return bits.join(", ");
