@@ -5,6 +5,7 @@
 
 enum { MOST_PARTS = 10000 }; /* of an interval */
 enum { MOST_TURNS = 16 }; /* stops within a part, after which the mass rests until the part ends */
+enum { RECALLED = 8 }; /* arguments of `phi` that parts and halves share; a power of two */
 
 /* (1 - exp(-z)) / z, (z - 1 + exp(-z)) / z^2 and their derivatives. */
 typedef struct {
@@ -39,9 +40,9 @@ typedef struct {
     const double *theta, *size; /* parameters, and sizes of the forces among them */
     double *p; /* (forces) constants, from the parameters if free */
     int w, late; /* number of derivatives; index of the present input */
-    double z[2]; /* arguments of `f`, which most parts and halves share */
-    phi f[2];
-    int last; /* place of the last argument */
+    double z[RECALLED]; /* arguments of `f` */
+    phi f[RECALLED];
+    int last; /* place of the last new argument */
     double x, v, g; /* position, velocity, force of the input after its lag */
     double g_delay, g_lag; /* derivatives of g */
     moment m1; /* of the input's force */
@@ -53,6 +54,16 @@ typedef struct {
     double *s, *ms, *ds, *dms; /* (1 + forces) memories of the controller; (1 + forces, w) derivatives */
     double *dq, *dT; /* (w) derivatives of the controller's force; of the load */
 } state;
+
+static const phi *recall(state *t, double z)
+{
+    for (int k = t->last; k > t->last - RECALLED; k--)
+        if (z == t->z[k & (RECALLED - 1)])
+            return t->f + (k & (RECALLED - 1));
+    t->last = (t->last + 1) & (RECALLED - 1);
+    t->z[t->last] = z, t->f[t->last] = phi_of(z);
+    return t->f + t->last;
+}
 
 static int is_load_friction(const pmf_force *f)
 {
@@ -129,29 +140,27 @@ static double start_force(const state *t, double drive, int i, double *s)
     return ahead > 0 ? ahead : back < 0 ? back : 0;
 }
 
-/* Friction under motor and load, with derivatives dq (w, if there is a controller) and dT (w). Its own leave dn (w). */
-static double load_friction(state *t, double v, double s, double motor, double load, const double *dv)
+/* Friction under motor and load, with its slopes by both. Its own derivatives leave dn (w). */
+static double load_friction(state *t, double v, double s, double motor, double load, double *by_motor, double *by_load)
 {
-    double sum = 0, by_motor = 0, by_load = 0, by_v = 0, *dn = t->dn;
+    double sum = 0;
     int shape = PMF_BODY_BASE + t->b->forces;
-    t->dT[PMF_BODY_OFFSET] += 1;
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
         if (is_load_friction(f)) {
-            const double T = motor + (1 - f->q) * load, a = t->size[j];
+            const double T = motor + (1 - f->q) * load, size = fabs(T), a = t->size[j];
             const pmf_push r = pmf_force_at(f, t->p[j], 0, v, s, 1);
-            sum += a * r.h * fabs(T);
-            dn[PMF_BODY_BASE + j] -= r.h * fabs(T);
+            const double by_T = T > 0 ? a * r.h : -a * r.h;
+            sum += a * r.h * size;
+            t->dn[PMF_BODY_BASE + j] -= r.h * size;
             if (f->unknown)
-                dn[shape] -= a * r.hp * fabs(T);
-            by_motor += T > 0 ? a * r.h : -a * r.h;
-            by_load += (1 - f->q) * (T > 0 ? a * r.h : -a * r.h);
-            by_v += a * r.hv * fabs(T);
+                t->dn[shape] -= a * r.hp * size;
+            *by_motor += by_T;
+            *by_load += (1 - f->q) * by_T;
+            t->gv += a * r.hv * size;
         }
         shape += f->unknown;
     }
-    for (int k = 0; k < t->w; k++)
-        dn[k] -= (t->loop ? by_motor * t->dq[k] : 0) + by_load * t->dT[k] + by_v * dv[k];
     return sum;
 }
 
@@ -160,60 +169,48 @@ static double load_friction(state *t, double v, double s, double motor, double l
 static double net_force(state *t, double x, double v, double s, double drive, int i, const double *dx, const double *dv)
 {
     const pmf_body *b = t->b;
-    double net = drive - s * t->theta[PMF_BODY_COULOMB], load = t->theta[PMF_BODY_OFFSET], gx = 0, gv = 0;
-    double motor = drive + load, *dn = t->dn, *dT = t->dT;
+    double net = drive - s * t->theta[PMF_BODY_COULOMB], load = t->theta[PMF_BODY_OFFSET], motor = drive + load;
+    double of_load = 0, of_motor = 0, by_motor = 0, by_load = 0, *dn = t->dn, *dT = t->dT; /* dT at a fixed position */
     int shape = PMF_BODY_BASE + b->forces;
-    if (t->loop)
-        memcpy(dn, t->dq, t->w * sizeof *dn);
-    else
-        memset(dn, 0, t->w * sizeof *dn);
-    if (t->loaded)
-        memset(dT, 0, t->w * sizeof *dT);
+    t->gx = t->gv = 0;
+    memset(dn, 0, t->w * sizeof *dn);
+    memset(dT, 0, t->w * sizeof *dT);
     for (int j = 0; j < b->forces; j++) {
         const pmf_force *f = b->force + j;
         const int own = shape;
-        pmf_push r;
-        double a = t->size[j];
+        const double a = t->size[j];
         shape += f->unknown;
         if (in_loop(f) || is_load_friction(f))
             continue;
-        r = pmf_force_at(f, t->p[j], x, v, s, column_at(t, f, i));
+        const pmf_push r = pmf_force_at(f, t->p[j], x, v, s, column_at(t, f, i));
         dn[PMF_BODY_BASE + j] -= r.h;
         if (f->unknown)
             dn[own] -= a * r.hp;
         net -= a * r.h;
-        gx += a * r.hx;
-        gv += a * r.hv;
+        t->gx += a * r.hx;
+        t->gv += a * r.hv;
         if (t->loaded && f->kind == PMF_FORCE_COLUMN_VISCOUS) {
             motor -= a * r.h;
-            for (int k = 0; t->loop && k < t->w; k++)
-                t->dq[k] -= a * r.hv * dv[k] + (k == PMF_BODY_BASE + j ? r.h : 0);
+            of_motor += a * r.hv;
+            if (t->loop) /* the drag is in front of the gear, as the motor is */
+                dn[PMF_BODY_BASE + j] += r.h, t->dq[PMF_BODY_BASE + j] -= r.h;
         }
         if (t->loaded && is_load(f)) {
             load += a * r.h;
+            of_load += a * r.hx;
             dT[PMF_BODY_BASE + j] += r.h;
             if (f->unknown)
                 dT[own] += a * r.hp;
-            for (int k = 0; a != 0 && k < t->w; k++)
-                dT[k] += a * r.hx * dx[k];
         }
     }
-    if (gx != 0 || gv != 0)
+    dn[PMF_BODY_COULOMB] -= s, dn[PMF_BODY_OFFSET] -= 1, dT[PMF_BODY_OFFSET] += 1;
+    if (t->loaded)
+        net -= load_friction(t, v, s, motor, load, &by_motor, &by_load);
+    const double by_x = t->gx + by_load * of_load, by_v = t->gv - by_motor * of_motor;
+    if (t->loop || t->loaded || by_x != 0 || by_v != 0)
         for (int k = 0; k < t->w; k++)
-            dn[k] -= gx * dx[k] + gv * dv[k];
-    t->gx = gx, t->gv = gv;
-    dn[PMF_BODY_COULOMB] -= s, dn[PMF_BODY_OFFSET] -= 1;
-    return t->loaded ? net - load_friction(t, v, s, motor, load, dv) : net;
-}
-
-static phi recall(state *t, double z)
-{
-    if (z == t->z[t->last])
-        return t->f[t->last];
-    t->last = !t->last;
-    if (z != t->z[t->last])
-        t->z[t->last] = z, t->f[t->last] = phi_of(z);
-    return t->f[t->last];
+            dn[k] += (1 - by_motor) * t->dq[k] - by_load * dT[k] - by_x * dx[k] - by_v * dv[k];
+    return net;
 }
 
 /* Move for h seconds from the state at a net force with a first moment about its mean, which keeps the momentum; the
@@ -222,7 +219,7 @@ static void advance(state *t, double net, moment m1, double s, double h, double 
 {
     const double m = t->theta[PMF_BODY_MASS], d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL];
     const double a = net / m, z = d * h / m, v0 = t->v;
-    const phi f = recall(t, z);
+    const phi f = *recall(t, z);
     const double hp = h * f.p1, mp = hp / m, mq = h * h * f.p2 / m;
     const double vm = (1 - f.e) / (m * h), xm = -f.p1 / m;
     const double vz = -v0 * f.e + a * h * f.q1 + m1.value / (m * h) * f.e;
@@ -292,7 +289,7 @@ static int move_without_stop(state *t, int i, double s, double net, double drive
 static void move(state *t, int i, double g, double g_delay, double g_lag, double left)
 {
     for (int turn = 0; left > 0; turn++) {
-        double s = t->v > 0 ? 1 : -1, drive = drive_now(t, g), net, step = left, x, v;
+        double s = t->v > 0 ? 1 : -1, drive = t->loop && t->v != 0 ? 0 : drive_now(t, g), net, step = left, x, v;
         const double offset = t->theta[PMF_BODY_OFFSET];
         int stops = 0;
         if (t->v == 0 && (turn > MOST_TURNS || start_force(t, drive, i, &s) == 0)) {
@@ -300,7 +297,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop)
-            loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds);
+            drive = loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds) - offset;
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
         if (t->b->forces && !t->loop && turn == 0) {
             if (move_without_stop(t, i, s, net, drive, g_delay, g_lag, left))
@@ -434,7 +431,7 @@ void pmf_body_chain(const pmf_body *b, const double *dx, double *row)
 int pmf_body_work(const pmf_body *b)
 {
     const int w = PMF_BODY_BASE + b->forces + b->shapes + PMF_LOOP_PARAMETERS;
-    return w * (b->tick > 0 ? 10 + 2 * (1 + b->forces) : 7);
+    return w * (b->tick > 0 ? 10 + 2 * (1 + b->forces) : 8);
 }
 
 int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, double *S, double *work)
@@ -444,15 +441,15 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
     const int w = S ? full : 0; /* without derivatives, only the few that have a name are written */
     double wait = b->step[0] + theta[PMF_BODY_DELAY], force = 0;
     state t = {0};
-    t.z[0] = t.z[1] = NAN;
+    memset(t.z, 0xff, sizeof t.z); /* NaN */
     t.b = b, t.theta = theta, t.size = theta + PMF_BODY_BASE, t.w = w;
     t.x = theta[PMF_BODY_X0], t.v = theta[PMF_BODY_V0], t.g = b->u[0];
     memset(work, 0, pmf_body_work(b) * sizeof *work);
     t.dx = work, t.dv = work + full, t.dn = work + 2 * full, t.mx = work + 3 * full, t.mv = work + 4 * full;
-    t.p = work + 5 * full, t.dT = work + 6 * full;
+    t.p = work + 5 * full, t.dT = work + 6 * full, t.dq = work + 7 * full;
     if (loops) {
         t.loop = loop;
-        t.dq = work + 6 * full, t.dT = t.dq + full, t.s = t.dT + full, t.ms = t.s + full;
+        t.s = t.dq + full, t.ms = t.s + full;
         t.ds = t.ms + full, t.dms = t.ds + (size_t)(1 + b->forces) * full;
         for (int j = 0; j <= b->forces; j++)
             if (j == 0 || b->force[j - 1].kind == PMF_LOOP_FILTERED) {

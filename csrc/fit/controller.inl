@@ -94,15 +94,21 @@ static double loop_force(state *t, double x, double v, double g, double g_delay,
     return used;
 }
 
-/* One lag with time constant tau over h, while its input moves from a to b along a line; `row` is that of tau or -1. */
-static double carry_lag(const state *t, double tau, double share, int row, double h, double s, double a, double b,
-                        const double *ds, const double *da, const double *db, double *out)
+/* A number that moves from a to b along a line, with derivatives da (w) and db (w). */
+typedef struct {
+    double a, b;
+    const double *da, *db;
+} ramp;
+
+/* One lag with time constant tau over h, with an input of 2 p - r; `row` is that of tau or -1. */
+static double carry_lag(state *t, double tau, double share, int row, double h, double s, const ramp *p, const ramp *r,
+                        const double *ds, double *out)
 {
     const double z = h / (tau > LEAST_DELAY / 2 ? tau : LEAST_DELAY / 2);
-    const phi f = phi_of(z);
-    const double by_a = f.p1 - f.e, by_b = 1 - f.p1;
+    const phi f = *recall(t, z);
+    const double by_a = f.p1 - f.e, by_b = 1 - f.p1, a = 2 * p->a - r->a, b = 2 * p->b - r->b;
     for (int k = 0; k < t->w; k++)
-        out[k] = f.e * ds[k] + by_a * da[k] + by_b * db[k];
+        out[k] = f.e * ds[k] + by_a * (2 * p->da[k] - r->da[k]) + by_b * (2 * p->db[k] - r->db[k]);
     if (row >= 0)
         out[row] += share * (-f.e * s + a * (f.q1 + f.e) - b * f.q1) * -z * z / h;
     return f.e * s + by_a * a + by_b * b;
@@ -114,21 +120,18 @@ static void carry_memories(state *t, double h, double g, double g_delay, double 
                            const double *dv1)
 {
     const double D = loop_delay(t), *s = t->s, *ds = t->ds;
-    double *ms = t->ms, *dms = t->dms, *da = t->dq, *db = t->dT;
+    const ramp speed = {v0, v1, dv0, dv1};
+    double *ms = t->ms, *dms = t->dms;
     const int w = t->w, at = (int)(t->loop - t->theta);
     int shape = PMF_BODY_BASE + t->b->forces;
-    ms[0] = carry_lag(t, D / 2, 0.5, at + PMF_LOOP_DELAY, h, s[0], v0, v1, ds, dv0, dv1, dms);
+    ms[0] = carry_lag(t, D / 2, 0.5, at + PMF_LOOP_DELAY, h, s[0], &speed, &speed, ds, dms);
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
         const double *own = ds + (size_t)(1 + j) * w;
         double *out = dms + (size_t)(1 + j) * w;
         if (f->kind == PMF_LOOP_FILTERED) {
-            for (int k = 0; k < w; k++) {
-                da[k] = 2 * ds[k] - dv0[k];
-                db[k] = 2 * dms[k] - dv1[k];
-            }
-            ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], 2 * s[0] - v0, 2 * ms[0] - v1,
-                                  own, da, db, out);
+            const ramp seen = {s[0], ms[0], ds, dms};
+            ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], &seen, &speed, own, out);
         } else if (f->kind == PMF_LOOP_INTEGRAL) { /* minus the integral of the error */
             const int on = is_on(t);
             const double half = h / 2;

@@ -42,6 +42,7 @@ def take_lag(search: ServoSearch, lags: Sequence[float]) -> ServoSearch:
     if not fits:
         return search
     best = max(fits, key=lambda fit: fit.value)
+    best.search.tried = {fit.lag: fit.search for fit in fits}
     near = [k for k, fit in enumerate(fits) if fit.value > best.value - 8 * TUNING.lag_drop]
     best.search.lags = tuple(fit.lag for fit in fits[max(near[0] - 1, 0) : near[-1] + 2])
     return best.search
@@ -78,7 +79,9 @@ def _fit_at(search: ServoSearch, lag: float, motions: int) -> LagFit:
     """Return the fit at a lag, with the mean evidence of one or two motions in ticks."""
     at, values = copy(search), list[float]()
     at.set_lag(lag)
-    at.apply_ticks()
+    tried = search.tried.get(lag)
+    if tried and (tried.chosen, tried.q.size, tried.plain.rows) == (at.chosen, at.q.size, at.plain.rows):
+        at.q, at.starts = tried.q, tried.starts
     at.solve(at.noise, 15)
     for _ in range(motions):
         at.apply_ticks()
@@ -126,9 +129,3 @@ def mix(fits: Sequence[LagFit]) -> tuple[Floats, Floats]:
     # within the distance of two lags their evidence is as good as constant
     covariance[-1, -1] += float(weights @ np.square(np.gradient(lags))) / 12 if lags.size > 1 else 0.0
     return mean, covariance
-
-
-def has_gain(search: ServoSearch) -> bool:
-    """Return whether the log shows that the loop has a derivative gain."""
-    local = search.local(search.noise)
-    return local.evidence(search.chosen)[0] > local.evidence([i for i in search.chosen if i not in search.kept])[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -97,19 +97,26 @@ class ServoTask:
         return ServoProblem(body, stretches, self.servo.resolution, mass=(lightest, np.inf))
 
 
+#: Additions to a motion, and the motion with them.
+Remembered = tuple[list[Floats | float], list[tuple[ResidualBlock, Floats]]]
+
+
 @dataclass(frozen=True, eq=False)
 class ServoProblem(FitProblem):
     """A problem that remembers its last motions, because each fit begins where the one before it ended."""
 
-    last: dict[bytes, list[tuple[ResidualBlock, Floats]]] = field(init=False, default_factory=dict)
+    last: dict[bytes, Remembered] = field(init=False, default_factory=dict)
 
     def linearise_motion(self, q: Floats, starts: Floats) -> list[tuple[ResidualBlock, Floats]]:
-        point = q.tobytes() + starts.tobytes()
-        found = self.last.pop(point, None) or super().linearise_motion(q, starts)
-        self.last[point] = found
+        point, apart = q.tobytes() + starts.tobytes(), [one.apart for one in self.stretches]
+        if point not in self.last:
+            self.last[point] = apart, super().linearise_motion(q, starts)
+        before, found = self.last[point] = self.last.pop(point)  # the latest
         for old in list(self.last)[: -TUNING.remembered]:
             del self.last[old]
-        return [(ResidualBlock(block.e.copy(), block.J.copy(), block.K.copy()), v) for block, v in found]
+        errors = [(now - then) / self.resolution for now, then in zip(apart, before, strict=True)]
+        pairs = zip(found, errors, strict=True)
+        return [(ResidualBlock(block.e + more, block.J.copy(), block.K.copy()), v) for (block, v), more in pairs]
 
 
 def _stretches(
@@ -165,6 +172,7 @@ class ServoSearch(FitSearch):
             self.table = [one for one in self.table if one.name != "gravity"]
         self.lag = 0.5 * task.servo.loop_period  # of the velocity in the loop [s]
         self.lags: Sequence[float] = TUNING.lags  # that the logs do not exclude [s]
+        self.tried: Mapping[float, ServoSearch] = {}  # the last fits at lags [s]
         self.kept = tuple(i for i, one in enumerate(self.table) if one.name == LOOP_FRICTION)
         self.take(problem, q, starts, [])
         self.choose(self.kept)
@@ -245,7 +253,7 @@ class ServoSearch(FitSearch):
 
         A derivative gain turns the step of a count into a pulse of torque, which rubs in proportion to the load.
         """
-        problem, period, stretches = self.problem, self.task.servo.loop_period, []
+        problem, period, stretches = self.problem, self.task.servo.loop_period, list[ObservedStretch]()
         for one, state, scale in zip(problem.stretches, self.starts, problem.scales(), strict=True):
             body, forces, _ = problem._body(self.q, one.acts)
             at = problem._start_body(one, state, scale, body)
@@ -256,6 +264,8 @@ class ServoSearch(FitSearch):
             stretches.append(replace(one, apart=np.nan_to_num(apart, posinf=0.0, neginf=0.0)))
         self.plain = replace(self.plain, stretches=tuple(stretches))
         self.problem = replace(problem, stretches=tuple(stretches))
+        if isinstance(problem, ServoProblem) and isinstance(self.problem, ServoProblem):
+            self.problem.last.update(problem.last)
 
     def value(self) -> float:
         """Return the log evidence of the present model in its own noise, with the cost of its parameters."""

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.fit.likelihood import Gaussian, noise_of
+from pmfid.fit.likelihood import Gaussian, climb, noise_of
 from pmfid.fit.problem import ObservedStretch
 from pmfid.types import Floats
 
@@ -30,17 +30,15 @@ def noise_with_stamps(
     `errors` (k,) and `speeds` (k,) are residuals [counts] and velocities [counts/s] of each stretch. The error is one
     parameter, and is there if it gains more than the cost of one by Schwarz (1978). `period` is that of the log [s].
     """
-    from scipy.optimize import minimize_scalar
-
     bare = noise_of(stretches, errors, rate, kinds)
 
-    def cost(octaves: float) -> float:
+    def value(octaves: float) -> float:
         jittered = _with_stamps(stretches, speeds, period * 2.0**-octaves)
-        return -replace(bare, stretches=jittered).evidence(errors)[0]
+        return replace(bare, stretches=jittered).evidence(errors)[0]
 
-    least, plain = minimize_scalar(cost, bounds=(0.0, 10.0), options={"xatol": 0.125}), bare.evidence(errors)[0]
-    if -least.fun > plain:  # an error without gain needs no second search
-        best = period * 2.0 ** -float(least.x)
+    plain = bare.evidence(errors)[0]
+    if value(10.0) > plain:  # where the least error has no gain, no other one needs a search
+        best = period * 2.0 ** -climb(value, 4.0, (0.0, 10.0))
         noise = noise_of(_with_stamps(stretches, speeds, best), errors, rate, kinds)
         if noise.evidence(errors)[0] - plain > (0.5 + noise.wanders - bare.wanders) * math.log(sum(map(len, errors))):
             return noise, best

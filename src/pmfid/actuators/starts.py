@@ -34,9 +34,9 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
         best = max((best, *_add_term(best, name)), key=ServoSearch.value)
     _check_explains(best)
     best.ticked = True
-    for lags, angle in ((TUNING.lags[1::2], 2 * TUNING.angle), (TUNING.lags, TUNING.angle)):
+    for lags in (TUNING.lags[1::2], TUNING.lags):
         best = take_lag(best, lags)
-        best = _extend(_drop_limit(_build_waves(best) if search else best), angle)
+        best = _extend(_drop_limit(_build_waves(best) if search else best))
     free = _drop_limit(copy(best), always=True)
     return best if free.task is best.task else max((best, _settle(free)), key=ServoSearch.value)
 
@@ -103,9 +103,9 @@ def _check_explains(search: ServoSearch) -> None:
         raise NotIdentifiableError(FOLLOW)
 
 
-def _extend(search: ServoSearch, angle: float) -> ServoSearch:
-    """Go to the whole logs, in parts of an interval in which the natural frequency turns by an angle [rad]."""
-    whole = search.task.problem(float(np.clip(angle / search.frequency, 2e-4, TUNING.tick)))
+def _extend(search: ServoSearch) -> ServoSearch:
+    """Go to the whole logs, in parts of an interval that fit the natural frequency."""
+    whole = search.task.problem(float(np.clip(TUNING.angle / search.frequency, 2e-4, TUNING.tick)))
     same, noise = whole.rows == search.plain.rows, search.noise
     search.take(whole, search.q, search.starts if same else whole.first_starts(), search.chosen)
     search.solve(noise if same else replace(noise, stretches=whole.stretches))

@@ -48,9 +48,9 @@ class ActuatorTuning:
     frictions: tuple[float, float] = (0.003, 0.5)
     delays: float = 3.5
     #: Longest part of an interval in the simulation [s], and the angle by which the natural frequency turns in a part.
-    #: The error of the inertia is a 24th of its square.
+    #: The motion in ticks corrects the error of the parts.
     tick: float = 4e-3
-    angle: float = 0.1
+    angle: float = 0.2
     #: A gap [s] after which the goal in between is unknown, so that the motion starts again.
     gap: float = 0.25
     #: Largest distance of the inertia from its start, as a logarithm. A start without ki may lose the inertia, so that

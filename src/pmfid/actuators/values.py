@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.actuators.body import CONSTANTS
-from pmfid.actuators.lags import LagFit, has_gain, mix
+from pmfid.actuators.lags import LagFit, mix
 from pmfid.actuators.search import ServoSearch, limited_part
 from pmfid.actuators.terms import LOOP_FRICTION
 from pmfid.actuators.tuning import TUNING
@@ -94,8 +94,10 @@ def read_parameters(
     if lags:
         q, covariance = _mix_lags(search, fitted, lags, covariance)
         at = next(k for k, one in fitted.problem.place_candidates() if one.name == LOOP_FRICTION)
+        local, without = search.local(search.noise), [i for i in search.chosen if i not in search.kept]
         limited = limited_part(fitted.problem, fitted.solution.q, fitted.solution.starts) > 0
-        gain = limited and has_gain(search) and math.sqrt(covariance[at, at]) < TUNING.open * q[at]
+        shown = limited and local.evidence(search.chosen)[0] > local.evidence(without)[0]
+        gain = shown and math.sqrt(covariance[at, at]) < TUNING.open * q[at]
     read = ParameterReader(search, fitted, gain)
     found = read(q)
     names, theta = tuple(found), np.array(list(found.values()))

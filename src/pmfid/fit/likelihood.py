@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -149,15 +149,23 @@ def _largest(
 ) -> tuple[float, float, float]:
     """Return the size of maximum likelihood, its log likelihood and the scale, to a fifth of an octave."""
 
-    def value(log: float) -> tuple[float, float]:
-        return plain.with_wander(kind, (unit * math.exp(log), memory)).evidence(errors)
+    def value(log: float) -> float:
+        return plain.with_wander(kind, (unit * math.exp(log), memory)).evidence(errors)[0]
 
-    grid = {x: value(x) for x in np.arange(-6.0, 14.0, 2.0).tolist()}
-    for half in (1.0, 0.5, 0.25, 0.125):
-        top = max(grid, key=lambda x: grid[x][0])
-        grid |= {x: value(x) for x in (top - half, top + half)}
-    top = max(grid, key=lambda x: grid[x][0])
-    return unit * math.exp(top), *grid[top]
+    deviation = float(np.clip(np.std(np.concatenate(errors)), 0.01, 1e5))
+    size = unit * math.exp(climb(value, 2.0 * round(0.5 * math.log(deviation)), (-6.0, 12.0)))
+    return size, *plain.with_wander(kind, (size, memory)).evidence(errors)
+
+
+def climb(value: Callable[[float], float], start: float, ends: tuple[float, float]) -> float:
+    """Return the place between two ends at which a function with one maximum is largest, to an eighth. The steps from
+    the start are 2 until they lead down, and then half as long again and again."""
+    known, step, top = {start: value(start)}, 2.0, start
+    while step > 0.1:
+        near = [x for x in (top - step, top + step) if ends[0] <= x <= ends[1] and x not in known]
+        known |= {x: value(x) for x in near}
+        top, step = max(known, key=known.__getitem__), step if near else step / 2
+    return top
 
 
 def _thin(stretches: Sequence[ObservedStretch], errors: Sequence[Floats]) -> list[tuple[ObservedStretch, Floats]]:

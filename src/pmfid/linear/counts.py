@@ -31,7 +31,9 @@ def explain_counts(
     problem = problem.without_reference
     shifted = not (problem.structure.offset or problem.structure.integrators)
     parameters = problem.structure.size + len(problem.stretches) * (problem.structure.n + shifted)
-    if parameters > BLOCKS or not (off := _find_distance(problem, resolution)) < EXPLAINED:
+    counts = [(stretch.y[stretch.rows] - stretch.y[stretch.rows[0]]) / resolution for stretch in problem.stretches]
+    off = max(float(np.max(np.abs(y - np.rint(y)))) for y in counts)  # largest distance of an output from its count
+    if parameters > BLOCKS or not off < EXPLAINED:
         return None
     # A response within every count leaves at most half a count, and least squares leaves no more.
     if start.cost > start.error.size * (resolution * (1.5 if shifted else 0.5)) ** 2:
@@ -73,12 +75,6 @@ def _explain(process: ProcessSimulator, q: Floats, off: float) -> tuple[ProcessP
         if np.all(settled & (size <= (1 + TUNING.counts_settled) * before)) and _is_within(process.linearise(*at)):
             return process.visit(*at), covariance[:p, :p]
     return None
-
-
-def _find_distance(problem: ProcessProblem, resolution: float) -> float:
-    """Return the largest distance of an output from its count [counts]."""
-    counts = [(stretch.y[stretch.rows] - stretch.y[stretch.rows[0]]) / resolution for stretch in problem.stretches]
-    return max(float(np.max(np.abs(y - np.rint(y)))) for y in counts)
 
 
 def _is_within(blocks: list[ResidualBlock]) -> bool:

@@ -86,7 +86,8 @@ def search_structure(
     """
     if not orders or not delays or min(orders) < 1 or min(delays) < 0:
         raise UsageError("orders must be at least 1 and delays at least 0; give one or more of each")
-    trimmed = [_drop_start(experiment, max(delays)) for experiment in experiments]
+    longest = max(delays)  # which has no input at the first outputs
+    trimmed = [replace(one, y=np.append(np.full(one.y[:longest].size, np.nan), one.y[longest:])) for one in experiments]
     colour = _colour(trimmed, orders, delays, cutoff, offset)
     places = [(n, n - 1, delay) for delay in delays for n in sorted(set(orders), reverse=True)]
     found, bounds = [], {}
@@ -146,13 +147,6 @@ def _finish(
     contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)
     better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders[: TUNING.order_retried]}
     return [better.get(id(candidate), candidate) for candidate in found]
-
-
-def _drop_start(experiment: Experiment, longest: int) -> Experiment:
-    """Return the experiment without its first outputs, because the longest delay has no input there."""
-    y = experiment.y.copy()
-    y[:longest] = np.nan
-    return replace(experiment, y=y)
 
 
 def _colour(

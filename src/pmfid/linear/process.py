@@ -355,7 +355,8 @@ class Process(Presentable):
             step[: cov.shape[0]] = TUNING.process_interval * (cov @ slope) / linear if linear > 0 else 0.0
         if not np.all(np.isfinite([*step, linear])):
             return np.full(2, np.inf)
-        ends = [_nearest(_roots(coefficients + sign * step), root) - root for sign in (1.0, -1.0)]
+        moved = [_roots(coefficients + sign * step) - root for sign in (1.0, -1.0)]
+        ends = [one[np.argmin(np.abs(one))] if one.size else complex(np.inf) for one in moved]
         return np.asarray(np.max(np.abs([[end.real, end.imag] for end in ends]), axis=0) / TUNING.process_interval)
 
 
@@ -370,10 +371,6 @@ def _real(name: str, values: ArrayLike) -> Floats:
         return np.asarray(values, float)
     except (TypeError, ValueError):
         raise UsageError(f"{name} must be real numbers, got {values!r}") from None
-
-
-def _nearest(found: Complex, root: complex) -> complex:
-    return complex(found[np.argmin(np.abs(found - root))]) if found.size else complex(np.inf)
 
 
 def _roots(coefficients: Floats) -> Complex:

@@ -275,18 +275,13 @@ def descend(problem: ProcessProblem, start: ProcessPoint) -> Solution:
         prior = np.zeros(point.theta.size)
         end = minimise(simulator, sum_squares, point.theta, simulator.first_starts, prior, TUNING.solve_descents)
         point, settled = simulator.visit(end.q, end.starts), end.settled
-    return Solution(point, settled and not _has_pole_at_edge(problem, point.theta), 0)
+    poles = np.roots(np.r_[1.0, point.theta[: problem.structure.n][::-1]])  # those at their bound have not settled
+    return Solution(point, settled and not np.any(poles.real * problem.duration > TUNING.solve_edge), 0)
 
 
 def sum_squares(blocks: Sequence[ResidualBlock]) -> tuple[float, list[ResidualBlock]]:
     """Return minus the log likelihood of white errors of one unit, and the blocks."""
     return 0.5 * sum(float(block.e @ block.e) for block in blocks), list(blocks)
-
-
-def _has_pole_at_edge(problem: ProcessProblem, theta: Floats) -> bool:
-    """Return whether a pole is as far in the right half-plane as the bound allows."""
-    poles = np.roots(np.r_[1.0, theta[: problem.structure.n][::-1]])
-    return bool(np.any(poles.real * problem.duration > TUNING.solve_edge))
 
 
 def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settled) -> bool:
@@ -314,7 +309,7 @@ def solve(problem: ProcessProblem) -> Solution:
     every = problem.structure.free >= TUNING.solve_several and not problem.referenced
     for pole in TUNING.solve_starts:
         solution = settle(problem, pole)
-        if best is None or _better(solution, best):
+        if best is None or (not solution.settled, solution.point.cost) < (not best.settled, best.point.cost):
             best = solution
         if solution.settled and not every:
             break
@@ -326,13 +321,6 @@ def solve(problem: ProcessProblem) -> Solution:
     if best is None or not best.settled:
         raise NotIdentifiableError(f"the iteration does not converge: {_reason(problem)}")
     return best
-
-
-def _better(solution: Solution, best: Solution) -> bool:
-    """Return whether a solution is better: it alone has converged, or its sum of squares is lower."""
-    if solution.settled != best.settled:
-        return solution.settled
-    return solution.point.cost < best.point.cost
 
 
 def _reason(problem: ProcessProblem) -> str:
