@@ -134,6 +134,17 @@ def plain(value: object) -> object:
     return value if value is None or isinstance(value, bool | int | str) else str(value)
 
 
+def format_pair(value: float, std: float) -> tuple[str, str]:
+    """Return an estimate and its standard error as text, the estimate with the digits of two of the error and at
+    least three."""
+    if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
+        return f"{value:.4g}", f"{std:.2g}"
+    places = 1 - math.floor(math.log10(float(f"{std:.1e}")))
+    digits = places + math.floor(math.log10(abs(value))) + 1 if value else 1
+    text = f"{value:#.{min(max(digits, 3), 15)}g}" if value else f"{0.0:.{min(max(places, 0), 15)}f}"
+    return text.rstrip(".").replace(".e", "e"), f"{std:#.2g}".rstrip(".").replace(".e", "e")
+
+
 def as_json(value: object) -> str:
     """Return JSON on one line. A number that is not finite becomes null."""
     try:

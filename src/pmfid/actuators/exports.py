@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
 from pmfid.actuators.fit import ServoFit
-from pmfid.actuators.joints import FittedJoint, format_pair
+from pmfid.actuators.joints import FittedJoint
 from pmfid.actuators.servo import UNITS
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import printable
+from pmfid.presentation import format_pair
 
 #: Parameters that each simulator has. A file names all others in a comment.
 XML = ("inertia", "viscous", "coulomb", "kp", "kd", "torque_limit", "delay", "gravity", "gravity_angle")

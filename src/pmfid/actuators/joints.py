@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +10,7 @@ from pmfid.actuators.fit import ServoFit, fit_logs
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.errors import PmfidError, UsageError
+from pmfid.presentation import format_pair
 
 HEADER = ("joint", "parameter", "value", "std", "unit")
 
@@ -65,17 +65,6 @@ class FittedJoint:
         own: dict[str, object] = {"resolution": self.log.resolution, "logs": len(self.logs)}
         own |= {"samples": sum(log.t.size for log in self.logs), "notes": self.notes}
         return own | (self.fit.to_dict() if self.fit else {"refused": self.refused})
-
-
-def format_pair(value: float, std: float) -> tuple[str, str]:
-    """Return an estimate and its standard error as text, the estimate with the digits of two of the error and at
-    least three."""
-    if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
-        return f"{value:.4g}", f"{std:.2g}"
-    places = 1 - math.floor(math.log10(float(f"{std:.1e}")))
-    digits = places + math.floor(math.log10(abs(value))) + 1 if value else 1
-    text = f"{value:#.{min(max(digits, 3), 15)}g}" if value else f"{0.0:.{min(max(places, 0), 15)}f}"
-    return text.rstrip(".").replace(".e", "e"), f"{std:#.2g}".rstrip(".").replace(".e", "e")
 
 
 def fit_joints(

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from pmfid._body import BASE
-from pmfid.actuators.joints import format_pair
 from pmfid.actuators.logs import find_step, measure_scatter
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
@@ -26,7 +25,7 @@ from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted, fit
 from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyForce, BodyModel, Excitation
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.presentation import PresentableParameters, Summary, plain_dict, remarks_of
+from pmfid.presentation import PresentableParameters, Summary, format_pair, plain_dict, remarks_of
 from pmfid.types import Floats
 
 RUNS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")

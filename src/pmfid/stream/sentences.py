@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from pmfid.errors import printable
+from pmfid.presentation import format_pair
 from pmfid.stream.outcome import Notice
 
 #: An event, as the object for JSON.
@@ -64,15 +65,12 @@ def _alarm(what: Fields) -> str:
 
 def _change(what: Fields) -> str:
     name, relative = _words(what.get("parameter", "a parameter")), _finite(what.get("relative"))
+    error = "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
     unit = f" {what['unit']}" if what.get("unit") else ""
-    size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{_error(what)}{unit})"
+    size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{error}{unit})"
     if relative is None:
         return f"{name} has changed{size}"
     return f"{name} is {100 * abs(relative):.3g} % {'lower' if relative < 0 else 'higher'} than normal{size}"
-
-
-def _error(what: Fields) -> str:
-    return "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
 
 
 def describe_values(what: Fields) -> str:
@@ -85,8 +83,9 @@ def describe_values(what: Fields) -> str:
 
 
 def _value(found: Fields) -> str:
-    change = "" if found.get("change") is None else f" ({100 * found['change']:+.1f} %)"
-    return f"{found['value']:.4g}{_error(found)}{change}"
+    std = _finite(found.get("std"))
+    value = f"{found['value']:.4g}" if std is None else " ± ".join(format_pair(found["value"], std))
+    return value if found.get("change") is None else f"{value} ({100 * found['change']:+.1f} %)"
 
 
 def _rate(rate: float | None) -> str:
@@ -151,9 +150,8 @@ def _peer(what: Fields) -> str:
 
 
 def _describe_end(what: Fields) -> str:
-    of = {"axis": "", "axes": f" of {what.get('name')}"}.get(
-        str(what.get("silent")), f" of {what.get('silent')} {what.get('name')}"
-    )
+    kind = "" if what.get("silent") == "axes" else f"{what.get('silent')} "
+    of = "" if what.get("silent") == "axis" else f" of {kind}{what.get('name')}"
     return f"the silence{of} is over after {what.get('seconds', 0.0):g} s"
 
 
