@@ -156,7 +156,9 @@ def _read_lerobot(folder: Path, episode: int | None) -> RobotTable:
     for path in _list_files(folder, episode):
         table = read_table(path)
         numbers = column(table, "episode", "episode_index")
-        chosen = float(episode) if episode is not None else _find_longest(numbers)
+        values, counts = np.unique(numbers[np.isfinite(numbers)], return_counts=True)
+        longest = float(values[np.argmax(counts)]) if values.size else 0.0
+        chosen = longest if episode is None else float(episode)
         rows = np.flatnonzero(numbers == chosen)
         if rows.size:
             columns = {"timestamp": column(table, "time", "timestamp")[rows]}
@@ -188,10 +190,4 @@ def _list_files(folder: Path, episode: int | None) -> list[Path]:
         raise UsageError("the data set has no Parquet file in its folder data: download the complete data set")
     if episode is None:
         return [max(paths, key=lambda path: path.stat().st_size)]
-    own = [path for path in paths if path.stem == f"episode_{episode:06d}"]
-    return own or paths
-
-
-def _find_longest(numbers: Floats) -> float:
-    values, counts = np.unique(numbers[np.isfinite(numbers)], return_counts=True)
-    return float(values[np.argmax(counts)]) if values.size else 0.0
+    return [path for path in paths if path.stem == f"episode_{episode:06d}"] or paths

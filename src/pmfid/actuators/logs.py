@@ -14,6 +14,7 @@ from pmfid.actuators.formats import RobotTable, read_robot_table
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
+from pmfid.records.clock import UNITS, named_unit
 from pmfid.types import Flags, Floats
 
 #: Words in the names of columns. A longer word comes before a shorter one that it contains.
@@ -92,7 +93,7 @@ def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
     robot = read_robot_table(path, layout.episode)
     table = robot.columns
     name = layout.time or _find_time(table)
-    t = times(table, name)[0] * _time_factor(name)
+    t = times(table, name)[0] * UNITS[named_unit(name) or "s"]
     goals = _find_columns(table, layout.goal, GOALS, ())
     positions = _find_columns(table, layout.position, POSITIONS, (*goals.values(), *OTHERS))
     joints = [joint for joint in positions if joint in goals]
@@ -136,12 +137,6 @@ def _find_time(table: Table) -> str:
         f"no time column was recognised among {', '.join(list(table)[:30]) or 'none'}: name it with --time, or add a "
         "column time_s"
     )
-
-
-def _time_factor(name: str) -> float:
-    from pmfid.records.clock import UNITS, named_unit
-
-    return UNITS[named_unit(name) or "s"]
 
 
 def _find_columns(table: Table, pattern: str | None, words: Sequence[str], others: Sequence[str]) -> dict[str, str]:

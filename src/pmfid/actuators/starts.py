@@ -29,16 +29,20 @@ FOLLOW = "no servo model explains the motion: check that goal and position have 
 
 def find_search(task: ServoTask, search: bool) -> ServoSearch:
     """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
-    best = max(_start_searches(task, search), key=ServoSearch.value)
+    starts = list(_start_searches(task, search))
+    best = max(starts, key=ServoSearch.value)
     for name in TERMS:
         best = max((best, *_add_term(best, name)), key=ServoSearch.value)
     _check_explains(best)
     best.ticked = True
     for lags in (TUNING.lags[1::2], TUNING.lags):
         best = take_lag(best, lags)
-        best = _extend(_drop_limit(_build_waves(best) if search else best))
-    free = _drop_limit(copy(best), always=True)
-    return best if free.task is best.task else max((best, _settle(free)), key=ServoSearch.value)
+        best = _build_waves(best) if search else best
+        if starts[0].task.limited and not best.task.limited:  # terms that came later may show the limit
+            place = starts[0].plain.machine.names.index("torque_limit")
+            best = max((best, _settle(_with_limit(best, float(starts[0].q[place])))), key=ServoSearch.value)
+        best = _extend(_drop_limit(best))
+    return max((best, _settle(_with_limit(best, None))), key=ServoSearch.value) if best.task.limited else best
 
 
 def _build_waves(search: ServoSearch) -> ServoSearch:
@@ -51,21 +55,30 @@ def _build_waves(search: ServoSearch) -> ServoSearch:
     return search if np.min(np.abs(other.q[other.plain.machine.lead] - bounds)) < SETTLED else other
 
 
-def _drop_limit(search: ServoSearch, always: bool = False) -> ServoSearch:
-    """Return the search without a limit of the torque that nobody named and that never acts, or without any such."""
-    if not search.task.limited or (not always and limited_part(search.problem, search.q, search.starts) > 0):
-        return search
-    place = search.plain.machine.names.index("torque_limit")
-    kept, noise = np.arange(search.count) != place, search.noise
+def _with_limit(search: ServoSearch, limit: float | None) -> ServoSearch:
+    """Return the search with a limit of the torque in the coordinates of the fit, or without any for None."""
+    other, noise = copy(search), search.noise
+    other.task = replace(search.task, limited=limit is not None)
+    machine = other.task.body()
+    place = (search.plain.machine if limit is None else machine).names.index("torque_limit")
+
+    def change(values: Floats, new: float) -> Floats:
+        return np.delete(values, place) if limit is None else np.insert(values, place, new)
+
     plain, noisy = (
-        tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in stretches)
+        tuple(replace(one, acts=None if one.acts is None else change(one.acts, 1.0)) for one in stretches)
         for stretches in (search.plain.stretches, noise.stretches)
     )
-    search.task = replace(search.task, limited=False)
-    problem = replace(search.plain, machine=search.task.body(), stretches=plain)
-    search.take(problem, np.delete(search.q, place), search.starts, search.chosen)
-    search.noise = replace(noise, stretches=noisy)
-    return search
+    problem = replace(search.plain, machine=machine, stretches=plain)
+    other.take(problem, change(search.q, limit or 0.0), search.starts, search.chosen)
+    other.noise = replace(noise, stretches=noisy)
+    return other
+
+
+def _drop_limit(search: ServoSearch) -> ServoSearch:
+    """Return the search without a limit of the torque that nobody named and that never acts."""
+    acts = not search.task.limited or limited_part(search.problem, search.q, search.starts) > 0
+    return search if acts else _with_limit(search, None)
 
 
 def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
@@ -74,7 +87,8 @@ def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
     problem, thin = head_of(own.problem()), [log.cut(slice(None, None, own.every)) for log in own.logs]
     q = find_start(replace(own, logs=thin))
     start = ServoSearch(own, problem, q, problem.first_starts(), search)
-    for at in {one.task.limited: one for one in (_drop_limit(copy(start)), _drop_limit(start, always=True))}.values():
+    ends = [_drop_limit(start)]
+    for at in [*ends, *(_with_limit(one, None) for one in ends if one.task.limited)]:
         at.solve(at.noise)  # in no noise but rounding, because a poor fit hides in the noise of its own residuals
         yield _settle(at)
         yield from _add_term(at, "gravity")

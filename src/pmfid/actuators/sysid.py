@@ -168,15 +168,9 @@ def fit_sysid(log: SysIdLog, resolution: float | None = None) -> Feedforward:
 
 def _observe(t: Floats, volts: Floats, position: Floats) -> ObservedStretch:
     """Return a run as observations. A voltage acts until the next row."""
-    count = t.size
-    drive = Excitation(
-        np.ascontiguousarray(np.diff(t)),
-        np.ascontiguousarray(volts[:-1]),
-        np.arange(count, dtype=np.int32),
-        np.zeros((0, count - 1)),
-    )
-    flags = np.ones(count, bool)
-    return ObservedStretch(drive, position, np.full(count, 1 / 12), flags, ~flags)
+    rows, flags = np.arange(t.size, dtype=np.int32), np.ones(t.size, bool)
+    drive = Excitation(np.diff(t), np.ascontiguousarray(volts[:-1]), rows, np.zeros((0, t.size - 1)))
+    return ObservedStretch(drive, position, np.full(t.size, 1 / 12), flags, ~flags)
 
 
 def _body_of(log: SysIdLog) -> BodyModel:
@@ -204,9 +198,8 @@ def _conclude(log: SysIdLog, fitted: Fitted) -> Feedforward:
     findings = sort_findings(findings_of(fitted, fitted.problem.machine.names, positive, size, TUNING.negligible))
     rms = fitted.problem.resolution * math.sqrt(float(np.mean(np.concatenate(fitted.residuals) ** 2)))
     theta, std = (np.array([values[name][k] for name in names]) for k in (0, 1))
-    return Feedforward(
-        log.name, names, tuple(units[name] for name in names), theta, std, rms, tuple(findings), log.notes
-    )
+    named = tuple(units[name] for name in names)
+    return Feedforward(log.name, names, named, theta, std, rms, tuple(findings), log.notes)
 
 
 def _read_gains(log: SysIdLog, fitted: Fitted) -> Iterator[tuple[str, tuple[float, float]]]:
