@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -152,6 +153,12 @@ def _cut(samples: int, quarter: int) -> list[slice]:
 SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
 
 
+@lru_cache(16)
+def _make_search(estimator: RecursiveEstimator) -> IV:
+    """Return the method that searches for missing forces. All axes share it, because its filters take long to make."""
+    return like(IV, estimator)
+
+
 def look_for_forces(
     stretches: Sequence[Stretch], theta: Floats, std: Floats, status: NDArray[np.uint32], settings: Settings
 ) -> list[list[float] | None]:
@@ -168,7 +175,7 @@ def look_for_forces(
         if one.group in seen or not isinstance(settings.estimator, RIV):
             continue
         seen.add(one.group)
-        method = like(IV, recursive(settings.adapt_estimator(one.dt, one.resolution)))
+        method = _make_search(recursive(settings.adapt_estimator(one.dt, one.resolution)))
         u, counts = one.u[: TUNING.segments_most], one.counts[: TUNING.segments_most]
         with np.errstate(all="ignore"):  # nothing is known of a motion beyond the range of numbers
             try:
@@ -273,7 +280,7 @@ def estimate_batch(
             estimator, u, counts, np.stack([one.ages for one in stretches if one.ages is not None])
         )
     else:
-        fleet = Fleet(estimator.start(), len(stretches), workers=1)
+        fleet = Fleet(estimator, len(stretches), workers=1)
         tracks = fleet.run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
         theta, status = tracks.theta[:, -1], lasting_status(tracks.status)
         std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])

@@ -75,6 +75,7 @@ class Checkpoints:
 
         If `last` is set, the checkpoint is made immediately, and the call returns after the attempt to write it.
         """
+        due = 0.0 if self._urgent else self._next
         if self._job is not None and (last or self._job.done()):
             if not self._job.result():
                 self._count_lost(self._notices.give_back(self._batch))
@@ -83,13 +84,10 @@ class Checkpoints:
             self._make(engine).result()
             self._writer.shutdown()
             self.vault.close()
-        elif self._job is None and self.begun and self._is_due(engine):
+        elif self._job is None and self.begun and (engine.urgent or monotonic() >= max(self._rested, due)):
             self._next = monotonic() + self.period
             if engine.changes != self._made_at or self._notices:
                 self._make(engine)
-
-    def _is_due(self, engine: StreamEngine) -> bool:
-        return engine.urgent or monotonic() >= max(self._rested, 0.0 if self._urgent else self._next)
 
     def _make(self, engine: StreamEngine) -> Future[bool]:
         begun = monotonic()
@@ -108,7 +106,7 @@ class Checkpoints:
 
     def _write(self, made: Draft | None, notices: list[Notice], done: list[Done]) -> bool:
         """Return whether states and notices are on the disk."""
-        begun, written = monotonic(), False
+        begun = monotonic()
         try:
             chunks = [] if made is None else made.chunks()
             self.counters.put("pmfid_checkpoint_bytes", sum(map(len, chunks)))
@@ -117,10 +115,9 @@ class Checkpoints:
             self._note_failure(error)
         else:
             self._note_success(monotonic() - begun)
-            written = True
         self._rested = monotonic() + TUNING.keeping_rest * (monotonic() - begun)
         self._call(done)
-        return written
+        return not self._failing
 
     def _note_failure(self, error: OSError) -> None:
         self.counters.add("pmfid_checkpoint_errors_total")

@@ -97,11 +97,8 @@ class Inbox:
 class Keeper(Protocol):
     """An object that writes checkpoints."""
 
-    def offer(self, engine: StreamEngine, last: bool = False) -> None:
-        """Make a checkpoint between two ticks if one is due.
-
-        If `last` is set, the checkpoint is made immediately, and the call returns when it is written.
-        """
+    def offer(self, engine: StreamEngine) -> None:
+        """Make a checkpoint between two ticks if one is due."""
         ...
 
     def call_when_kept(self, done: Callable[[], object]) -> None:
@@ -109,22 +106,13 @@ class Keeper(Protocol):
         ...
 
 
-class _Forgetful:
-    """A `Keeper` without checkpoints, for which deliveries are done when they are stepped."""
-
-    def offer(self, engine: StreamEngine, last: bool = False) -> None:
-        pass
-
-    def call_when_kept(self, done: Callable[[], object]) -> None:
-        done()
-
-
 @dataclass
 class StreamEngine:
     """An engine that steps the axes of all groups as deliveries arrive.
 
     `outlets` receive rows and notices. `followed` returns the names of the axes whose rows are all given out. `groups`
-    has all axes. `unwritten` returns the alarms that sinks do not have yet, by the name of the sink.
+    has all axes. `unwritten` returns the alarms that sinks do not have yet, by the name of the sink. Without a
+    `keeper`, deliveries are done when they are stepped.
 
     `numbered` is the last number given to an axis. `beat` is `time.monotonic()` of the last tick. `changes` counts the
     changes to the content of a checkpoint. If `urgent` is set, a checkpoint is due soon, because no source repeats a
@@ -135,7 +123,7 @@ class StreamEngine:
     outlets: Sequence[Outlet] = ()
     followed: Callable[[], frozenset[str]] = frozenset
     inbox: Inbox = field(default_factory=Inbox)
-    keeper: Keeper = field(default_factory=_Forgetful)
+    keeper: Keeper | None = None
     unwritten: Callable[[], dict[str, list[Notice]]] = dict
     groups: list[Group] = field(default_factory=list, init=False)
     numbered: int = field(default=0, init=False)
@@ -208,7 +196,8 @@ class StreamEngine:
             self.changes += 1
             self.urgent = True
         self.speak()
-        self.keeper.offer(self)
+        if self.keeper is not None:
+            self.keeper.offer(self)
         return bool(batch) or not self.inbox.closed
 
     def set_groups(self, groups: Iterable[Group]) -> None:
@@ -244,8 +233,10 @@ class StreamEngine:
         self._count(batch, begun)
         for delivery in batch:
             self.silence.note_delivery(delivery.source)
-            if delivery.done is not None:
+            if delivery.done is not None and self.keeper is not None:
                 self.keeper.call_when_kept(delivery.done)
+            elif delivery.done is not None:
+                delivery.done()
 
     def _step(self, ordered: Ordered) -> None:
         found, followed = ordered.found, self.followed()
