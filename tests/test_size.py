@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64032,
-    "lines of code in src": 37378,
+    "lines of src": 64031,
+    "lines of code in src": 37377,
     "lines of code in report and cli": 2927,
     "thresholds in src": 955,
     "lines of csrc": 8677,
@@ -22,7 +22,7 @@ MOST = {
     "conditionals of csrc": 104,
     "lines of tests": 27725,
     "match= in tests": 24,
-    "lines of studies": 8151,
+    "lines of studies": 8148,
 }
 
 

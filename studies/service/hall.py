@@ -185,13 +185,12 @@ def hall(
         plant = write_plant(place, axes, port, settings)
         plant.write_text(plant.read_text() + more + PAGE.format(port=free_port()))
         ready(place)
-        prepare(place / "cell.toml")  # calibrated here, with the result in the cache for the service
         with service(plant, place / "log.jsonl") as served:
             client = mqtt.Client(CallbackAPIVersion.VERSION2, "machines", protocol=mqtt.MQTTv5)
             client.max_inflight_messages_set(1000)
             client.connect("127.0.0.1", port, keepalive=600)
             client.loop_start()
-            while not served.total("pmfid_axes"):
+            while not served.total("pmfid_axes") or served.total("pmfid_axes_calibrating"):
                 time.sleep(0.1)
             time.sleep(1.0)  # time for the source's subscription
             yield Hall(place, served, client, run.motion.u, run.counts.astype(np.int64), axes)

@@ -163,8 +163,6 @@ def _play_twins(there: Hall, twins: dict[int, Change], seconds: float) -> None:
 
 def write_wrapping(place: Path) -> None:
     """Write an equal AXIS.toml for each number of bits."""
-    text = (
-        (place / "cell.toml").read_text().replace("mtbf_hours = 24.0", "mtbf_hours = 5.0")
-    )  # for a faster calibration
+    text = (place / "cell.toml").read_text()
     for bits in BITS:
         (place / f"w{bits}.toml").write_text(text.replace("[model]", f"bits = {bits}\n\n[model]", 1))

@@ -120,7 +120,6 @@ class Service:
         self._engine = StreamEngine(self.counters, self._outlets, self._board.list_followed)
         self._sinks: list[Queued] = []
         self._engine.silence.limit, self._engine.silence.sources = plant.service.silence, tuple(plant.sources)
-        self._unwritten: dict[str, list[Notice]] = {}
         self._sources: list[Running] = []
         self._reported = time.monotonic()
         self._pace = Pace(plant.service.window, plant.service.every)
@@ -154,7 +153,6 @@ class Service:
         if self._saved is not None:
             self._configurations.baselines = {group.digest: group.baseline for group in self._saved.groups}
             self._saved.restore(self._engine)
-            self._unwritten = self._saved.unwritten
             for notice in self._saved.alarms:
                 self._board.notice(notice)
 
@@ -208,8 +206,9 @@ class Service:
         ]
         self._engine.silence.sinks = self._sinks
         self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
+        unwritten = {} if self._saved is None else self._saved.unwritten
         for queued in self._sinks:
-            for notice in self._unwritten.get(queued.name, ()):
+            for notice in unwritten.get(queued.name, ()):
                 queued.notice(notice)
         self._sources = [
             Running(section.make(name, context), self._engine.inbox, tell, getattr(section, "axis", None) or "")
