@@ -574,19 +574,18 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
     return b->rows;
 }
 
-void pmf_elastic_drive(int n, double step, int substeps, const double *x, const double load[4], double *force)
+void pmf_elastic_drive(int n, int parts, double step, const double *x, const double load[4], double *force)
 {
-    const double h = step / substeps, keep = 1 / (1 + h * (load[1] + load[2])), rub = h * load[3];
-    double y = x[0], v = 0;
+    const double keep = 1 / (1 + step * (load[1] + load[2])), rub = step * load[3];
+    double y = x[0], v = 0, speed = 0;
     force[0] = 0;
     for (int i = 1; i < n; i++) {
-        const double speed = (x[i] - x[i - 1]) / step;
-        for (int part = 0; part < substeps; part++) {
-            const double at = x[i - 1] + part * h * speed;
-            v = (v + h * (load[0] * (at - y) + load[1] * speed)) * keep;
+        for (int part = 0; part < parts; part++, x++) {
+            speed = (x[1] - x[0]) / step;
+            v = (v + step * (load[0] * (x[0] - y) + load[1] * speed)) * keep;
             v = v > rub ? v - rub : v < -rub ? v + rub : 0;
-            y += h * v;
+            y += step * v;
         }
-        force[i] = load[0] * (x[i] - y) + load[1] * (speed - v);
+        force[i] = load[0] * (x[0] - y) + load[1] * (speed - v);
     }
 }

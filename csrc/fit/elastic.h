@@ -30,9 +30,9 @@ enum {
  * velocities and the start are those of the mass that body->side shows. `work` has room for 15 w numbers. */
 int pmf_elastic_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);
 
-/* Force of a load on the motor per mass of the load, force (n), where the motor moves through x (n) at intervals of
- * `step` [s], to first order in the substeps. load: square of the rate of spring and load [1/s^2], damping and drag per
- * mass [1/s], and Coulomb friction per mass. */
-void pmf_elastic_drive(int n, double step, int substeps, const double *x, const double load[4], double *force);
+/* Force of a load on the motor per mass of the load, force (n), at every `parts`-th place of a motor that moves through
+ * x (parts (n - 1) + 1) at intervals of `step` [s], to first order in the step. load: square of the rate of spring and
+ * load [1/s^2], damping and drag per mass [1/s], and Coulomb friction per mass. */
+void pmf_elastic_drive(int n, int parts, double step, const double *x, const double load[4], double *force);
 
 #endif

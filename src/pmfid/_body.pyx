@@ -41,7 +41,7 @@ cdef extern from "fit/elastic.h":
     enum:
         PMF_ELASTIC_BASE
     int pmf_elastic_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
-    void pmf_elastic_drive(int n, double step, int substeps, const double *x, const double *load, double *force) nogil
+    void pmf_elastic_drive(int n, int parts, double step, const double *x, const double *load, double *force) nogil
 
 cdef extern from "fit/whiten.h":
     ctypedef struct pmf_wander:
@@ -140,22 +140,21 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
     return y, v, S, done
 
 
-def drive_load(cnp.ndarray[double, mode="c"] x not None, double step, int substeps,
+def drive_load(cnp.ndarray[double, mode="c"] x not None, double step, int parts,
                cnp.ndarray[double, ndim=2, mode="c"] loads not None):
-    """Return the forces (n, g) of g loads on a motor that moves through x (n,), per mass of the load.
+    """Return the forces (g, n) of g loads on a motor that moves through x (parts (n - 1) + 1), per mass of the load.
 
-    loads: (g, 4) square of the rate, damping, drag and Coulomb friction, each per mass.
+    step: interval of x. loads: (g, 4) square of the rate, damping, drag and Coulomb friction, each per mass.
     """
-    cdef Py_ssize_t n = x.shape[0], g = loads.shape[0], k
-    if n < 1 or substeps < 1 or loads.shape[1] != 4:
-        raise ValueError("x needs a value, loads four columns, and substeps at least 1")
-    force = np.empty((g, n))
-    cdef cnp.ndarray[double, ndim=2, mode="c"] forces = force
+    cdef Py_ssize_t n = (x.shape[0] - 1) // max(parts, 1) + 1, g = loads.shape[0], k
+    if x.shape[0] < 1 or parts < 1 or loads.shape[1] != 4:
+        raise ValueError("x needs a value, loads four columns, and parts at least 1")
+    cdef cnp.ndarray[double, ndim=2, mode="c"] forces = np.empty((g, n))
     with nogil:
         for k in range(g):
-            pmf_elastic_drive(n, step, substeps, <double *>x.data, <double *>loads.data + 4 * k,
+            pmf_elastic_drive(n, parts, step, <double *>x.data, <double *>loads.data + 4 * k,
                               <double *>forces.data + n * k)
-    return force.T
+    return forces
 
 
 def whiten(cnp.ndarray[double, ndim=2, mode="c"] X not None, cnp.ndarray[double, mode="c"] step not None,

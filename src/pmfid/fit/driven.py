@@ -8,7 +8,7 @@ constants have few local optima. Everything is smoothed by a Gaussian kernel.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -17,7 +17,7 @@ import numpy as np
 from pmfid._body import drive_load
 from pmfid.fit.problem import ObservedStretch
 from pmfid.fit.tuning import TUNING
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,44 +30,53 @@ class SmoothRecord:
     columns: Floats
     width: float
     step: float
+    moves: Flags
 
     def loads(self, loads: Floats) -> Floats:
         """Return the smoothed forces (m, g) per mass of loads (g, 4), which are logarithms."""
-        values = np.exp(loads)
-        substeps = max(1, math.ceil(self.step * math.sqrt(float(np.max(values[:, 0]))) / TUNING.reach))
-        return _smooth(drive_load(self.x, self.step, substeps, np.ascontiguousarray(values)), self.width)
+        forces = drive_load(self.x, self.step / TUNING.parts, TUNING.parts, np.ascontiguousarray(np.exp(loads)))
+        return np.asarray((self.moves * _smooth(forces, self.width)).T)
 
 
 def _smooth(signal: Floats, width: float, derivative: int = 0, cut: bool = True) -> Floats:
-    """Return a smoothed signal (n, ...) or its derivative, by default without the ends that the kernel does not
+    """Return a smoothed signal (..., n) or its derivative, by default without the ends that the kernel does not
     cover."""
     from scipy.ndimage import gaussian_filter1d
 
-    smoothed = gaussian_filter1d(signal, width, axis=0, order=derivative, mode="nearest", truncate=TUNING.tail)
+    smoothed = gaussian_filter1d(signal, width, order=derivative, mode="nearest", truncate=TUNING.tail)
     end = math.ceil(TUNING.tail * width)
-    return np.asarray(smoothed[end:-end] if cut else smoothed)
+    return np.asarray(smoothed[..., end:-end] if cut else smoothed)
 
 
-def smooth_record(stretch: ObservedStretch, resolution: float) -> SmoothRecord | None:
-    """Return the record after a kernel that hides the rounding of the acceleration, on an even clock; None if the
-    record is too short for one."""
+def smooth_record(stretch: ObservedStretch, resolution: float, wider: int = 0) -> SmoothRecord | None:
+    """Return the record after a kernel that hides the rounding of the acceleration, or one of some `wider` kernels, on
+    an even clock; None if the record is too short for one."""
+    from scipy.interpolate import make_interp_spline
+
     step, count = float(np.mean(stretch.drive.step)), stretch.drive.step.size + 1
     ends = np.append(0.0, np.cumsum(stretch.drive.step))
     clock = np.linspace(0.0, float(ends[-1]), count)
     y = np.interp(clock, stretch.times, stretch.y - stretch.y[0])
-    held = np.append(stretch.drive.u, stretch.drive.u[-1])
-    u = np.r_[held[0], (held[1:] + held[:-1]) / 2]  # the mean of the force before and after each instant
-    for width in TUNING.kernels:
-        if count < 40 * TUNING.tail * width:
-            return None
-        rounding = resolution * math.sqrt((1 / 12) * 3 / (8 * math.sqrt(math.pi) * width**5))
-        if rounding < TUNING.rounding * np.std(_smooth(y, width, 2)):
-            break
-    direction = np.sign(_smooth(y, width, 1, cut=False))
+    hidden = (i for i, width in enumerate(TUNING.kernels) if _hides(y, width, resolution))
+    widths = TUNING.kernels[next(hidden, len(TUNING.kernels)) + wider :]
+    if not widths or count < 40 * TUNING.tail * widths[0]:
+        return None
+    width, held = widths[0], np.append(stretch.drive.u, stretch.drive.u[-1])
+    u = np.convolve(np.pad(held, (2, 1), "edge"), np.array([-1, 13, 13, -1]) / 24, "valid")
+    speed = _smooth(y, width, 1, cut=False)
+    rounding = resolution * math.sqrt((1 / 12) / (4 * math.sqrt(math.pi) * width**3))
+    direction = np.sign(speed) * (np.abs(speed) > 3 * rounding)
+    moves = _smooth(np.abs(direction), width) > 0.5
     columns = [_smooth(y, width, 2) / step**2, _smooth(y, width, 1) / step, _smooth(direction, width)]
     columns.append(np.ones(columns[0].size))
-    x = np.ascontiguousarray(_smooth(y, 0.7 * width, cut=False))
-    return SmoothRecord(x, _smooth(u, width), np.column_stack(columns), width, step)
+    x = make_interp_spline(np.arange(count), y)(np.arange(TUNING.parts * (count - 1) + 1) / TUNING.parts)
+    return SmoothRecord(x, moves * _smooth(u, width), moves[:, None] * np.column_stack(columns), width, step, moves)
+
+
+def _hides(y: Floats, width: float, resolution: float) -> bool:
+    """Return whether a kernel leaves little rounding in the acceleration of positions y (n,)."""
+    rounding = resolution * math.sqrt((1 / 12) * 3 / (8 * math.sqrt(math.pi) * width**5))
+    return bool(rounding < TUNING.rounding * np.std(_smooth(y, width, 2)))
 
 
 def find_shaken_part(stretch: ObservedStretch, resolution: float) -> ObservedStretch:
@@ -83,21 +92,48 @@ def find_shaken_part(stretch: ObservedStretch, resolution: float) -> ObservedStr
     return stretch.part(first, first + TUNING.part)
 
 
-def driven_guesses(stretch: ObservedStretch, resolution: float) -> list[Floats]:
-    """Return guesses of (mass, viscous, Coulomb, offset, load mass, load viscous, load Coulomb, stiffness, damping),
-    the best one first."""
-    record = smooth_record(stretch, resolution)
-    if record is None or not np.std(record.force) > 0:
-        return []
+def driven_guesses(stretch: ObservedStretch, resolution: float) -> Iterator[list[Floats]]:
+    """Yield guesses of (mass, viscous, Coulomb, offset, load mass, load viscous, load Coulomb, stiffness, damping), the
+    best one first, from one kernel after the other."""
+    for wider in TUNING.wider:
+        record = smooth_record(stretch, resolution, wider)
+        if record is not None and np.std(record.force) > 0:
+            yield [one for one in _guess(record) if one[0] > 0 and one[4] > 0]
+
+
+def _guess(record: SmoothRecord) -> list[Floats]:
     basis, _ = np.linalg.qr(record.columns / np.maximum(np.linalg.norm(record.columns, axis=0), 1e-300))
     rest = record.force - basis @ (basis.T @ record.force)
     loads = _list_loads(record)
     forces = record.loads(loads)
     forces -= basis @ (basis.T @ forces)
-    gains = (forces.T @ rest) ** 2 / np.maximum(np.sum(forces**2, axis=0), 1e-300)
-    likely = [loads[i] for i in np.argsort(-gains).tolist() if forces[:, i] @ rest > 0]
-    guesses = [_complete(record, load) for load in distinct(likely, 0.3)[: TUNING.kept]]
-    return [one for one in guesses if one[0] > 0 and one[4] > 0]
+    gains = forces.T @ rest / np.maximum(np.linalg.norm(forces, axis=0), 1e-300)
+    kinds = len(TUNING.frictions) * len(TUNING.drags)
+    best = np.argmax(gains.reshape(-1, kinds), axis=0) * kinds + np.arange(kinds)  # the best rate with each friction
+    likely = [i for i in best[np.argsort(-gains[best])].tolist() if gains[i] > 0]
+    fits = [_refine(record, basis, rest, loads[i]) for i in likely[: TUNING.kept]]
+    fits.sort(key=lambda fit: float(fit.cost))
+    return [_complete(record, load) for load in distinct([fit.x for fit in fits], 0.1)]
+
+
+def _refine(record: SmoothRecord, basis: Floats, rest: Floats, load: Floats) -> OptimizeResult:
+    """Return the load (4,) near a load whose force leaves least of the rest of the force. Its mass is eliminated
+    (variable projection; Golub and Pereyra 1973)."""
+    from scipy.optimize import least_squares
+
+    def leave(loads: Floats) -> Floats:
+        forces = record.loads(loads)
+        forces -= basis @ (basis.T @ forces)
+        forces /= np.maximum(np.linalg.norm(forces, axis=0), 1e-300)
+        return np.asarray(rest[:, None] - forces * np.maximum(rest @ forces, 0.0))
+
+    def slopes(load: Floats) -> Floats:
+        left = leave(load + np.vstack([np.zeros(4), TUNING.shift * np.eye(4)]))
+        return np.asarray((left[:, 1:] - left[:, :1]) / TUNING.shift)
+
+    rest = rest / np.linalg.norm(rest)
+    bounds = (load - TUNING.farthest, load + TUNING.farthest)
+    return least_squares(lambda one: leave(one[None])[:, 0], load, slopes, bounds, max_nfev=TUNING.tries)
 
 
 def _list_loads(record: SmoothRecord) -> Floats:
@@ -108,8 +144,8 @@ def _list_loads(record: SmoothRecord) -> Floats:
     size = float(np.std(record.columns[:, 0])) + 1e-300
     return np.log(
         [
-            (w * w, 2 * TUNING.load_ratio * w, 0.1 * TUNING.load_ratio * w, part * size)
-            for w, part in product(rates.tolist(), TUNING.frictions)
+            (w * w, 2 * TUNING.load_ratio * w, drag * w, friction * size)
+            for w, drag, friction in product(rates.tolist(), TUNING.drags, TUNING.frictions)
         ]
     )
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -35,7 +34,6 @@ from pmfid.fit.starts import blind_start
 from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
 
-Search = Callable[[FitProblem, Sequence[Floats], Floats], Optimum]
 #: Parameters of the first fits, in the order of `driven_guesses`.
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
@@ -55,35 +53,26 @@ def elastic_start(
     total = np.array([*guess_sum(stretch, force), 0.0])
     plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
     prior = prior_of(plain, force)
-    points = _list_driven_starts(plain, guide)
-    best = follow(plain, points, prior) if points else None
-    explains = best is not None and best.cost < rounding_of(plain)
-    if best is not None and (trial or explains):
-        return plain, best if explains else release(plain, points, prior)
-    part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
-    end = _search_part(part, total, prior, trial, followed=part.rows == plain.rows)
-    if part.rows < plain.rows:
-        end = follow(plain, [end.q], prior)
-    return plain, end if best is None or end.cost < best.cost else best
+    points, ends = list[Floats](), list[Optimum]()
+    for guesses in () if plain.machine.load else driven_guesses(guide or stretch, plain.resolution):
+        near = distinct([start_at(plain, guess) for guess in guesses], 0.02)
+        points += near
+        if near:
+            ends.append(follow(plain, near, prior))
+            if ends[-1].cost < rounding_of(plain):
+                return plain, ends[-1]
+    if not (trial and ends):
+        part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
+        end = _search_part(part, points if part.rows < plain.rows else [], total, prior, trial)
+        ends.append(follow(plain, [end.q], prior) if part.rows < plain.rows else end)
+    return plain, min(ends, key=lambda end: end.cost)
 
 
-def _list_driven_starts(plain: FitProblem, guide: ObservedStretch | None = None) -> list[Floats]:
-    """Return a few starts q (p,) by the measured motion of the motor, that of a `guide` if there is one, the best one
-    first."""
-    guesses = [] if plain.machine.load else driven_guesses(guide or plain.stretches[0], plain.resolution)
-    return distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
-
-
-def _search_part(part: FitProblem, total: Floats, prior: Floats, trial: bool, followed: bool) -> Optimum:
-    """Return the best fit to a part of the record, from the measured motion or else from a scan of resonances. The
-    guesses of the measured motion may be `followed` already."""
-    points, ends = _list_driven_starts(part), list[Optimum]()
-    scan: Search = partial(release, trial=trial)
-    for search, starts in ((follow, points), (release, points), (scan, list(_scan(part, total))))[followed:]:
-        if starts:
-            ends.append(search(part, starts, prior))
-            if ends[-1].cost < rounding_of(part):
-                break
+def _search_part(part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, trial: bool) -> Optimum:
+    """Return the best fit to a part of the record, from starts q (p,) or else from a scan of resonances."""
+    ends = [follow(part, points, prior)] if points else []
+    if not ends or ends[0].cost > rounding_of(part):
+        ends.append(release(part, list(_scan(part, total)), prior, trial))
     return min(ends, key=lambda end: end.cost)
 
 

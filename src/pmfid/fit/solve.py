@@ -17,7 +17,7 @@ from pmfid.types import Floats
 #: Precisions of the start states about zero [1/counts^2, and of counts per mean step]: weak, because an axis at rest
 #: says nothing about its start velocity. A second mass at rest says little of its place. Further states are those of a
 #: transfer function.
-START = np.array([1e-2, 1e-6, 1e-8, 1e-6, 1e-6, 1e-6, 1e-6])
+START = np.array([1e-2, 1e-10, 1e-12, 1e-10, 1e-6, 1e-6, 1e-6])
 
 
 class Simulator(Protocol):

@@ -10,29 +10,34 @@ class ElasticTuning:
     """Sizes of `fit.driven`, `fit.elastic` and `fit.second_mass`."""
 
     #: Widths of the kernel [steps], and the largest part of rounding in the acceleration.
-    kernels: tuple[float, ...] = (0.8, 1.2, 1.8, 2.6, 3.8, 5.7, 8.4, 12.5, 18.5, 27.0, 40.0, 60.0)
+    kernels: tuple[float, ...] = (1.2, 1.8, 2.6, 3.8, 5.7, 8.4, 12.5, 18.5, 27.0, 40.0, 60.0)
     rounding: float = 0.05
+    wider: tuple[int, ...] = (0, 2)
     #: Length of the kernel in widths. Derivatives by a shorter one would show the position itself.
     tail: float = 6.0
     #: Loads of the scan by motion: highest rate [1/step] and antiresonance [Hz], loads per octave, damping ratio, and
     #: Coulomb friction per mass over the size of the acceleration.
     fastest: float = 0.3
     highest_load: float = 150.0
-    loads_per_octave: int = 4
+    loads_per_octave: int = 3
     load_ratio: float = 0.03
+    drags: tuple[float, ...] = (0.003, 0.3)
     frictions: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 2.0)
-    #: Largest step over the rate of a load.
-    reach: float = 0.35
-    #: Loads that make a guess.
-    kept: int = 5
+    #: Parts of a sample in which a load moves.
+    parts: int = 6
+    #: Loads whose four constants are refined, most trials of each, the shift of a logarithm that shows its slope, and
+    #: the farthest ones.
+    kept: int = 3
+    tries: int = 20
+    shift: float = 1e-3
+    farthest: float = 5.0
     #: Samples of the part in which two masses are sought, where no guess follows the record or one mass does not
     #: explain it.
     part: int = 2000
-    #: Guesses that are followed, and the factor by which the length of parts of a record grows.
-    followed: int = 3
+    #: Factor by which the length of parts of a record grows.
     joined: float = 6.0
     #: Parts of the record that a motion with more than rounding starts again from.
-    rejoined: tuple[int, ...] = (36, 72, 144)
+    rejoined: tuple[int, ...] = (12, 36, 144)
     #: Resonances of the scan by fits: lowest [Hz], highest [1/step], number per octave, shares of the load in the
     #: inertia, and damping ratio.
     lowest: float = 2.0
