@@ -52,16 +52,22 @@ class MotionFit(Simulating, BatchEstimator):
         return self.summarise(self.examine(*check_arrays(u, counts)))
 
     def examine(
-        self, u: Floats, counts: Counts, there: Flags | None = None, temperature: Floats | None = None
+        self,
+        u: Floats,
+        counts: Counts,
+        there: Flags | None = None,
+        temperature: Floats | None = None,
+        elastic: bool = False,
     ) -> Fitted:
-        """Return the fit of a record, u (n,) and counts (n,), with its comparison of forces.
+        """Return the fit of a record, u (n,) and counts (n,), with its comparison of forces. The search for forces ends
+        where two masses explain every count, if the axis may be `elastic`.
 
         An input of NaN is a gap, after which the motion starts again. `there` (n,) marks the counts in use, None all.
         Friction may follow a `temperature` (n,), and the parameters belong to its mean.
         Raises NotIdentifiableError if the axis does not move, or if no motion of the model follows it.
         """
         with np.errstate(all="ignore"):  # motions far from the record may overflow
-            return fit(self.problem(u, counts, there, temperature))
+            return fit(self.problem(u, counts, there, temperature), elastic=elastic)
 
     def problem(
         self, u: Floats, counts: Counts, there: Flags | None = None, temperature: Floats | None = None

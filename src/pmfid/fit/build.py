@@ -49,11 +49,15 @@ def complete_readings(search: FitSearch) -> None:
 
 
 def build(search: FitSearch) -> Gaussian | Intervals:
-    """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood.
+    """Estimate the noise, do as `add_forces`, and return the likelihood."""
+    return add_forces(search, settle_either(search))
 
-    A set that comes again ends the search, too.
+
+def add_forces(search: FitSearch, kinds: Sequence[str]) -> Gaussian | Intervals:
+    """Add and drop forces in noise of some `kinds` until the counts are explained or no force gains evidence, and
+    return the likelihood. A set that comes again ends the search, too.
     """
-    kinds, seen = settle_either(search), list[list[int]]()
+    seen = list[list[int]]()
     for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         with_waves = step is None or not seen  # forces that mimic a wave leave less and less of it

@@ -17,7 +17,7 @@ import numpy as np
 from pmfid._body import drive_load
 from pmfid.fit.problem import ObservedStretch
 from pmfid.fit.tuning import TUNING
-from pmfid.types import Flags, Floats
+from pmfid.types import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +30,7 @@ class SmoothRecord:
     columns: Floats
     width: float
     step: float
-    moves: Flags
+    moves: Floats
 
     def loads(self, loads: Floats) -> Floats:
         """Return the smoothed forces (m, g) per mass of loads (g, 4), which are logarithms."""
@@ -66,7 +66,7 @@ def smooth_record(stretch: ObservedStretch, resolution: float, wider: int = 0) -
     speed = _smooth(y, width, 1, cut=False)
     rounding = resolution * math.sqrt((1 / 12) / (4 * math.sqrt(math.pi) * width**3))
     direction = np.sign(speed) * (np.abs(speed) > 3 * rounding)
-    moves = _smooth(np.abs(direction), width) > 0.5
+    moves = (_smooth(np.abs(direction), width) > 0.5).astype(np.float64)
     columns = [_smooth(y, width, 2) / step**2, _smooth(y, width, 1) / step, _smooth(direction, width)]
     columns.append(np.ones(columns[0].size))
     x = make_interp_spline(np.arange(count), y)(np.arange(TUNING.parts * (count - 1) + 1) / TUNING.parts)
@@ -102,6 +102,7 @@ def driven_guesses(stretch: ObservedStretch, resolution: float) -> Iterator[list
 
 
 def _guess(record: SmoothRecord) -> list[Floats]:
+    """Return the guesses of a smooth record, the one that leaves least of the force first."""
     basis, _ = np.linalg.qr(record.columns / np.maximum(np.linalg.norm(record.columns, axis=0), 1e-300))
     rest = record.force - basis @ (basis.T @ record.force)
     loads = _list_loads(record)
@@ -111,14 +112,13 @@ def _guess(record: SmoothRecord) -> list[Floats]:
     kinds = len(TUNING.frictions) * len(TUNING.drags)
     best = np.argmax(gains.reshape(-1, kinds), axis=0) * kinds + np.arange(kinds)  # the best rate with each friction
     likely = [i for i in best[np.argsort(-gains[best])].tolist() if gains[i] > 0]
-    fits = [_refine(record, basis, rest, loads[i]) for i in likely[: TUNING.kept]]
-    fits.sort(key=lambda fit: float(fit.cost))
-    return [_complete(record, load) for load in distinct([fit.x for fit in fits], 0.1)]
+    ends = sorted((_refine(record, basis, rest, loads[i]) for i in likely[: TUNING.kept]), key=lambda end: end[0])
+    return [_complete(record, load) for load in distinct([load for _, load in ends], 0.1)]
 
 
-def _refine(record: SmoothRecord, basis: Floats, rest: Floats, load: Floats) -> OptimizeResult:
-    """Return the load (4,) near a load whose force leaves least of the rest of the force. Its mass is eliminated
-    (variable projection; Golub and Pereyra 1973)."""
+def _refine(record: SmoothRecord, basis: Floats, rest: Floats, load: Floats) -> tuple[float, Floats]:
+    """Return the cost and the load (4,) near a load whose force leaves least of the rest (m,) of the force. Its mass is
+    eliminated (variable projection; Golub and Pereyra 1973). The `basis` (m, 4) is that of a rigid motor."""
     from scipy.optimize import least_squares
 
     def leave(loads: Floats) -> Floats:
@@ -133,7 +133,8 @@ def _refine(record: SmoothRecord, basis: Floats, rest: Floats, load: Floats) -> 
 
     rest = rest / np.linalg.norm(rest)
     bounds = (load - TUNING.farthest, load + TUNING.farthest)
-    return least_squares(lambda one: leave(one[None])[:, 0], load, slopes, bounds, max_nfev=TUNING.tries)
+    end = least_squares(lambda one: leave(one[None])[:, 0], load, slopes, bounds, max_nfev=TUNING.tries)
+    return float(end.cost), np.asarray(end.x)
 
 
 def _list_loads(record: SmoothRecord) -> Floats:

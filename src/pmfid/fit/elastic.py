@@ -61,19 +61,30 @@ def elastic_start(
             ends.append(follow(plain, near, prior))
             if ends[-1].cost < rounding_of(plain):
                 return plain, ends[-1]
-    if not (trial and ends):
-        part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
-        end = _search_part(part, points if part.rows < plain.rows else [], total, prior, trial)
-        ends.append(follow(plain, [end.q], prior) if part.rows < plain.rows else end)
+    part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
+    shorter = part.rows < plain.rows
+    end = _search_part(part, points, total, prior, trial, followed=not shorter)
+    ends.append(follow(plain, [end.q], prior) if shorter else end)
     return plain, min(ends, key=lambda end: end.cost)
 
 
-def _search_part(part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, trial: bool) -> Optimum:
-    """Return the best fit to a part of the record, from starts q (p,) or else from a scan of resonances."""
-    ends = [follow(part, points, prior)] if points else []
-    if not ends or ends[0].cost > rounding_of(part):
+def _search_part(
+    part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, trial: bool, followed: bool
+) -> Optimum:
+    """Return the best fit to a part of the record from starts q (p,), which may be `followed` already, or else from a
+    scan of resonances. A trial has no scan if there are starts."""
+    ends = [follow(part, points, prior)] if points and not followed else []
+    if points and not (ends and ends[0].cost < rounding_of(part)):
+        ends.append(release(part, points, prior, trial))
+    if not ends or (not trial and min(end.cost for end in ends) > rounding_of(part)):
         ends.append(release(part, list(_scan(part, total)), prior, trial))
     return min(ends, key=lambda end: end.cost)
+
+
+def explains_all(plain: FitProblem, q: Floats) -> bool:
+    """Return whether two masses near parameters q (p,) explain every count of a record."""
+    force = float(np.sqrt(np.mean(plain.stretches[0].drive.u ** 2)))
+    return follow(plain, [q], prior_of(plain, force)).cost < rounding_of(plain)
 
 
 def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:

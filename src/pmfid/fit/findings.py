@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from pmfid.findings import MOVE, Finding
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.second_mass import SecondMass, miss_sums
+from pmfid.fit.second_mass import SecondMass
 from pmfid.fit.terms import ExtraForce
 from pmfid.models.axes import rotary
 from pmfid.types import Flags, Floats
@@ -142,3 +143,18 @@ def _unknown(fitted: Fitted, names: tuple[str, ...], positive: Flags) -> Iterato
 def format_part(part: float) -> str:
     """Return a relative error as text."""
     return f"{100 * part:.2g} %" if part < 1 else "over 100 %"
+
+
+def miss_sums(fitted: Fitted, second: SecondMass) -> Floats:
+    """Return the distances (p,) of the sums of two masses from the parameters of one, and 0 for other parameters."""
+    missed, lift = np.zeros(fitted.theta.size), fitted.problem.machine.lift
+    for row, total in second.sums.items():
+        columns = np.flatnonzero(lift[row])
+        if columns.size == 1 and columns[0] < missed.size:
+            missed[columns[0]] = total - fitted.theta[columns[0]]
+    return missed
+
+
+def widen(fitted: Fitted, second: SecondMass) -> Fitted:
+    """Return the fit of one mass with intervals that contain the sums of two masses."""
+    return replace(fitted, half=np.hypot(fitted.half, NORMAL_95 * miss_sums(fitted, second)))

@@ -9,13 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.build import PIECES, build, complete_readings, prune
+from pmfid.fit.build import PIECES, add_forces, complete_readings, prune, settle_either
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.openings import LostMotionError, begin
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
+from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch, with_columns
+from pmfid.fit.second_mass import PairTrial
 from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
@@ -36,7 +37,7 @@ class Fitted:
     size may cause, whatever their shape. `solution` belongs to `problem`, whose candidates are the chosen ones.
     `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates. `rival` names
     the force that widens the intervals most. `weighed` has an entry for each force of the table. `uncut` is the record
-    of a fit to shorter stretches.
+    of a fit to shorter stretches. `trial` is the search for a second mass.
     """
 
     problem: FitProblem
@@ -50,6 +51,15 @@ class Fitted:
     rival: str
     weighed: tuple[WeighedForce, ...] = ()
     uncut: FitProblem | None = None
+    trial: PairTrial | None = None
+
+    @property
+    def whole(self) -> FitProblem:
+        """The problem with its candidates on stretches that were not cut."""
+        if self.uncut is None:
+            return self.problem
+        problem, candidates = with_columns(self.uncut, self.problem.candidates)
+        return replace(problem, parts=self.problem.parts).with_candidates(candidates)
 
     @property
     def values(self) -> list[float]:
@@ -83,11 +93,12 @@ MakeSearch = Callable[[FitProblem], FitSearch]
 
 
 @use_one_thread
-def fit(problem: FitProblem, search: MakeSearch = FitSearch) -> Fitted:
+def fit(problem: FitProblem, search: MakeSearch = FitSearch, elastic: bool = False) -> Fitted:
     """Fit a machine to a record. A `search` of its own may begin elsewhere.
 
-    A model that explains every count is the end. Otherwise the comparison adds or drops one force at a time, in the
-    noise of the residuals, until the counts are explained or no force gains evidence.
+    A model that explains every count is the end. So are two masses that do, if an `elastic` axis may be meant.
+    Otherwise the comparison adds or drops one force at a time, in the noise of the residuals, until the counts are
+    explained or no force gains evidence.
 
     A free axis forgets no error of its position, and a force of the position may even push the axis away. Where no
     motion over the whole record follows, shorter stretches have starts of their own (Bock 1983).
@@ -95,29 +106,31 @@ def fit(problem: FitProblem, search: MakeSearch = FitSearch) -> Fitted:
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
     pushes = any(force.kind in ("spring", "wave") for force in problem.machine.forces)
+    trial = PairTrial(problem) if elastic else None
     whole, lost = None, False
     try:
         whole = _begin(search(problem), whole=True)
     except NotIdentifiableError as error:
         lost = isinstance(error, LostMotionError)
-    pending = pushes and whole is not None and whole[1] is None  # pieces may explain what the whole motion does not
-    if not pending and (fitted := _follow(whole)) is not None:
+    # pieces may explain what neither the whole motion nor two masses do
+    pending = pushes and whole is not None and whole[1] is None and not (trial and trial.explains)
+    if not pending and (fitted := _follow(whole, trial)) is not None:
         return fitted
     try:
         pieces = _begin(search(problem.cut(PIECES)))
-        if pending and pieces[1] is None and (fitted := _follow(whole)) is not None:
+        if pending and pieces[1] is None and (fitted := _follow(whole, trial)) is not None:
             return fitted
-        return replace(_finish(*pieces), uncut=problem)
+        return replace(_finish(*pieces, trial), uncut=problem)
     except NotIdentifiableError:
         if not lost:
             raise
-        return _finish(*_begin(search(problem)))
+        return _finish(*_begin(search(problem)), trial)
 
 
-def _follow(begun: tuple[FitSearch, Intervals | None] | None) -> Fitted | None:
+def _follow(begun: tuple[FitSearch, Intervals | None] | None, trial: PairTrial | None) -> Fitted | None:
     """Return the fit of a search that has begun, or None if its motion does not follow the record."""
     with suppress(NotIdentifiableError):
-        if begun is not None and (fitted := _finish(*begun)).follows:
+        if begun is not None and (fitted := _finish(*begun, trial)).follows:
             return fitted
     return None
 
@@ -126,8 +139,12 @@ def _begin(search: FitSearch, whole: bool = False) -> tuple[FitSearch, Intervals
     return search, begin(search, whole)
 
 
-def _finish(search: FitSearch, likelihood: Intervals | None) -> Fitted:
-    return conclude(search, build(search) if likelihood is None else prune(search, likelihood))
+def _finish(search: FitSearch, likelihood: Intervals | None, trial: PairTrial | None) -> Fitted:
+    if likelihood is not None:
+        return conclude(search, prune(search, likelihood))
+    kinds = settle_either(search)
+    explains = trial is not None and trial.explains
+    return replace(conclude(search, search.noise if explains else add_forces(search, kinds)), trial=trial)
 
 
 def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:

@@ -77,8 +77,8 @@ def _mend(plain: FitProblem, best: Optimum, prior: Floats) -> Optimum:
 
 
 def hold(plain: FitProblem, q: Floats, rate: float) -> FitProblem:
-    """Return the problem with a spring and a damper between the shown mass and its measured motion, through a smooth
-    line. Both masses together swing with the `rate` [1/step] on the spring."""
+    """Return the problem with a spring and a damper between the shown mass and its measured motion. Both masses
+    together swing with the `rate` [1/step] on the spring."""
     machine = plain.machine
     mass = float(np.sum(np.exp(q[[machine.lead, machine.further[0]]])))
     rate /= float(np.mean(plain.stretches[0].drive.step))
@@ -98,11 +98,8 @@ def hold(plain: FitProblem, q: Floats, rate: float) -> FitProblem:
 
 def _pull(stretch: ObservedStretch, spring: float, damper: float) -> Floats:
     """Return the force (n,) of spring and damper on a mass at rest at zero."""
-    from scipy.ndimage import gaussian_filter1d
-
     step = stretch.drive.step
     y = np.interp(np.append(0.0, np.cumsum(step)), stretch.times, stretch.y)
-    y = gaussian_filter1d(y, RELEASE_TUNING.width, mode="nearest")
     return np.asarray(spring * (y[1:] + y[:-1]) / 2 + damper * np.diff(y) / step)
 
 

@@ -6,19 +6,18 @@ import math
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.compare import NORMAL_95, ODDS
+from pmfid.fit.compare import ODDS
 from pmfid.fit.driven import find_shaken_part
-from pmfid.fit.elastic import ROWS, elastic_start, play_start, resonance_of
-from pmfid.fit.fit import Fitted
+from pmfid.fit.elastic import ROWS, elastic_start, explains_all, play_start, resonance_of
 from pmfid.fit.likelihood import noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.release import rounding_of
-from pmfid.fit.search import with_columns
 from pmfid.fit.shooting import settle
 from pmfid.fit.solve import Optimum, inverse
 from pmfid.fit.tuning import TUNING
@@ -58,18 +57,52 @@ class SecondMass:
         return f"a second mass across a gap of {self.play[0]:.3g} ± {self.play[1]:.2g} {unit}"
 
 
-def try_second_mass(fitted: Fitted) -> SecondMass | None:
-    """Return the second mass if two masses explain every count of a part of the record, which one mass does not.
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A fit of two masses that explains every count of a part of a record. `whole` is True if the fit explains every
+    count of the longest stretch."""
+
+    problem: FitProblem
+    end: Optimum
+    whole: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PairTrial:
+    """The search for two masses on a spring in a record of one mass."""
+
+    record: FitProblem
+
+    @cached_property
+    def pair(self) -> Pair | None:
+        """The two masses, or None if no pair explains every count of the part with the largest accelerations."""
+        longest, part = _longest_and_shaken(self.record)
+        with np.errstate(all="ignore"):
+            pair = _explain(self.record, part, lambda plain: elastic_start(plain, True, longest))
+            if pair is None:
+                return None
+            problem, end = pair
+            whole = part is longest or explains_all(replace(problem, stretches=(longest,)), end.q)
+        return Pair(problem, end, whole)
+
+    @property
+    def explains(self) -> bool:
+        """Whether two masses explain every count of the longest stretch."""
+        return self.pair is not None and self.pair.whole
+
+
+def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondMass | None:
+    """Return the second mass if two masses explain every count of a part of the record, and one mass with the
+    parameters q (p,) of a `problem` does not.
 
     Both models have the same part of the record, free start states, and noise of their own. Two masses that leave more
     than rounding may only imitate another force.
     """
-    problem = _whole(fitted)
-    longest, part = _longest_and_shaken(problem)
-    one = _fit_one_mass(problem, fitted.solution.q, part)
+    _, part = _longest_and_shaken(problem)
+    one = _fit_one_mass(problem, q, part)
     if one[1].cost < rounding_of(one[0]):
         return None
-    pair = _explain(problem, part, lambda plain: elastic_start(plain, True, longest)) or _explain(problem, part, _play)
+    pair = _explain(problem, part, _play) if trial.pair is None else (trial.pair.problem, trial.pair.end)
     if pair is None:
         return None
     odds = _evidence(*pair) - _evidence(*one) + ODDS
@@ -80,8 +113,8 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
     count."""
-    _, part = _longest_and_shaken(problem)
-    pair = _explain(problem, part, elastic_start) or _explain(problem, part, _play)
+    longest, part = _longest_and_shaken(problem)
+    pair = _explain(problem, part, lambda plain: elastic_start(plain, guide=longest)) or _explain(problem, part, _play)
     return None if pair is None else _read(*pair, math.inf)
 
 
@@ -118,29 +151,6 @@ def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
     if pair.machine.plays and std[len(ROWS)] < TUNING.vague * theta[len(ROWS)]:
         return SecondMass(math.inf, sums, odds, (float(theta[len(ROWS)]), float(std[len(ROWS)])))
     return SecondMass(resonance_of(theta) / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
-
-
-def miss_sums(fitted: Fitted, second: SecondMass) -> Floats:
-    """Return the distances (p,) of the sums of two masses from the parameters of one, and 0 for other parameters."""
-    missed, lift = np.zeros(fitted.theta.size), fitted.problem.machine.lift
-    for row, total in second.sums.items():
-        columns = np.flatnonzero(lift[row])
-        if columns.size == 1 and columns[0] < missed.size:
-            missed[columns[0]] = total - fitted.theta[columns[0]]
-    return missed
-
-
-def widen(fitted: Fitted, second: SecondMass) -> Fitted:
-    """Return the fit of one mass with intervals that contain the sums of two masses."""
-    return replace(fitted, half=np.hypot(fitted.half, NORMAL_95 * miss_sums(fitted, second)))
-
-
-def _whole(fitted: Fitted) -> FitProblem:
-    """Return the problem of a fit on stretches that were not cut."""
-    if fitted.uncut is None:
-        return fitted.problem
-    problem, candidates = with_columns(fitted.uncut, fitted.problem.candidates)
-    return replace(problem, parts=fitted.problem.parts).with_candidates(candidates)
 
 
 def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tuple[FitProblem, Optimum]:

@@ -22,7 +22,7 @@ class ElasticTuning:
     loads_per_octave: int = 3
     load_ratio: float = 0.03
     drags: tuple[float, ...] = (0.003, 0.3)
-    frictions: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 2.0)
+    frictions: tuple[float, ...] = (0.1, 0.5, 2.0, 6.0, 20.0)
     #: Parts of a sample in which a load moves.
     parts: int = 6
     #: Loads whose four constants are refined, most trials of each, the shift of a logarithm that shows its slope, and
@@ -78,9 +78,8 @@ class PlayTuning:
 class ReleaseTuning:
     """Sizes of `fit.release`."""
 
-    #: Rates of the spring [1/step], and the width of the kernel that smooths the counts [steps].
+    #: Rates of the spring [1/step].
     rates: tuple[float, ...] = (0.3, 0.1, 0.05, 0.025, 0.012, 0.006, 0.003)
-    width: float = 1.0
     #: Steps of the solver with the first spring and with the others, and the least distance of fits that are followed
     #: in the logarithms of the share of the load, and of gap or stiffness.
     first: int = 5

@@ -17,10 +17,10 @@ from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, make_notes, sort_findings
 from pmfid.fit.compare import NORMAL_95
-from pmfid.fit.findings import findings_of
+from pmfid.fit.findings import findings_of, widen
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
-from pmfid.fit.second_mass import SecondMass, find_second_mass, try_second_mass, widen
+from pmfid.fit.second_mass import PairTrial, SecondMass, find_second_mass, try_second_mass
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.gaps import bridge_input
@@ -83,7 +83,8 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     size, second = sizes(method, fit.theta), None
     if may_have_second_mass(axis) and np.any(fitted.scale_reach(size) > axis.estimator.tolerance):
         with np.errstate(all="ignore"):
-            second = try_second_mass(fitted)
+            trial = fitted.trial or PairTrial(replace(fitted.whole, candidates=()))
+            second = try_second_mass(fitted.whole, fitted.solution.q, trial)
     if second is not None:
         fitted = widen(fitted, second)
     known = known_of(asked, method)
@@ -124,7 +125,7 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
     """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
     method, known = make_fit(axis, record), repair_as_configured(record, axis)
     repaired, used, remarks = known.record, known.used, tuple[str, ...]()
-    warmth = record.temperature
+    warmth, elastic = record.temperature, may_have_second_mass(axis)
     if record.ages is not None and record.ages.size == record.u.size:
         edges = like(EdgeFit, method, lines=axis.encoder.lines, tick=axis.encoder.tick)
         try:
@@ -137,9 +138,9 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
     if np.any(spiky | ends) or u is not repaired.u:
         with suppress(NotIdentifiableError):
             cut = np.where(spiky | ends, np.nan, repaired.u)
-            fitted = method.examine(cut, repaired.counts, used, warmth)
+            fitted = method.examine(cut, repaired.counts, used, warmth, elastic)
             return method, fitted, (*remarks, RESTARTED) if np.any(spiky) else remarks
-    return method, method.examine(u, repaired.counts, used, warmth), remarks
+    return method, method.examine(u, repaired.counts, used, warmth, elastic), remarks
 
 
 def may_have_second_mass(axis: Axis) -> bool:
