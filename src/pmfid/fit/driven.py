@@ -22,8 +22,10 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class SmoothRecord:
-    """A stretch after smoothing: position x (n,), force (m,), and the columns (m, 4) of a rigid motor, which are
-    acceleration, velocity, direction and 1. `width` is that of the kernel [steps], and `step` is in s."""
+    """A stretch after smoothing: positions x (k,) at parts of a step, force (m,), and the columns (m, 4) of a rigid
+    motor, which are acceleration, velocity, direction and 1. `width` is that of the kernel [steps], and `step` is in s.
+    `moves` (m,) is 1 where the motor moves and 0 elsewhere: static friction balances any force, so that rows at a
+    standstill are 0."""
 
     x: Floats
     force: Floats
@@ -62,10 +64,11 @@ def smooth_record(stretch: ObservedStretch, resolution: float, wider: int = 0) -
     if not widths or count < 40 * TUNING.tail * widths[0]:
         return None
     width, held = widths[0], np.append(stretch.drive.u, stretch.drive.u[-1])
+    # the weights of the mean of a cubic over a step give a held input its size and phase at the samples
     u = np.convolve(np.pad(held, (2, 1), "edge"), np.array([-1, 13, 13, -1]) / 24, "valid")
     speed = _smooth(y, width, 1, cut=False)
     rounding = resolution * math.sqrt((1 / 12) / (4 * math.sqrt(math.pi) * width**3))
-    direction = np.sign(speed) * (np.abs(speed) > 3 * rounding)
+    direction = np.sign(speed) * (np.abs(speed) > 3 * rounding)  # rounding alone is below three standard deviations
     moves = (_smooth(np.abs(direction), width) > 0.5).astype(np.float64)
     columns = [_smooth(y, width, 2) / step**2, _smooth(y, width, 1) / step, _smooth(direction, width)]
     columns.append(np.ones(columns[0].size))
@@ -92,17 +95,19 @@ def find_shaken_part(stretch: ObservedStretch, resolution: float) -> ObservedStr
     return stretch.part(first, first + TUNING.part)
 
 
-def driven_guesses(stretch: ObservedStretch, resolution: float) -> Iterator[list[Floats]]:
-    """Yield guesses of (mass, viscous, Coulomb, offset, load mass, load viscous, load Coulomb, stiffness, damping), the
-    best one first, from one kernel after the other."""
+def driven_guesses(stretch: ObservedStretch, resolution: float) -> Iterator[Floats]:
+    """Yield guesses of (mass, viscous, Coulomb, offset, load mass, load viscous, load Coulomb, stiffness, damping),
+    each from a wider kernel than the one before."""
     for wider in TUNING.wider:
         record = smooth_record(stretch, resolution, wider)
         if record is not None and np.std(record.force) > 0:
-            yield [one for one in _guess(record) if one[0] > 0 and one[4] > 0]
+            guess = _guess(record)
+            if guess is not None and guess[0] > 0 and guess[4] > 0:
+                yield guess
 
 
-def _guess(record: SmoothRecord) -> list[Floats]:
-    """Return the guesses of a smooth record, the one that leaves least of the force first."""
+def _guess(record: SmoothRecord) -> Floats | None:
+    """Return the guess of a smooth record, or None if no load explains a part of the force."""
     basis, _ = np.linalg.qr(record.columns / np.maximum(np.linalg.norm(record.columns, axis=0), 1e-300))
     rest = record.force - basis @ (basis.T @ record.force)
     loads = _list_loads(record)
@@ -112,8 +117,8 @@ def _guess(record: SmoothRecord) -> list[Floats]:
     kinds = len(TUNING.frictions) * len(TUNING.drags)
     best = np.argmax(gains.reshape(-1, kinds), axis=0) * kinds + np.arange(kinds)  # the best rate with each friction
     likely = [i for i in best[np.argsort(-gains[best])].tolist() if gains[i] > 0]
-    ends = sorted((_refine(record, basis, rest, loads[i]) for i in likely[: TUNING.kept]), key=lambda end: end[0])
-    return [_complete(record, load) for load in distinct([load for _, load in ends], 0.1)]
+    ends = [_refine(record, basis, rest, loads[i]) for i in likely[: TUNING.kept]]
+    return _complete(record, min(ends, key=lambda end: end[0])[1]) if ends else None
 
 
 def _refine(record: SmoothRecord, basis: Floats, rest: Floats, load: Floats) -> tuple[float, Floats]:

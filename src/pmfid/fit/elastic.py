@@ -12,7 +12,7 @@ import numpy as np
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.driven import distinct, driven_guesses, find_shaken_part
+from pmfid.fit.driven import driven_guesses, find_shaken_part
 from pmfid.fit.machine import (
     COULOMB,
     DAMPING,
@@ -54,13 +54,11 @@ def elastic_start(
     plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
     prior = prior_of(plain, force)
     points, ends = list[Floats](), list[Optimum]()
-    for guesses in () if plain.machine.load else driven_guesses(guide or stretch, plain.resolution):
-        near = distinct([start_at(plain, guess) for guess in guesses], 0.02)
-        points += near
-        if near:
-            ends.append(follow(plain, near, prior))
-            if ends[-1].cost < rounding_of(plain):
-                return plain, ends[-1]
+    for guess in () if plain.machine.load else driven_guesses(guide or stretch, plain.resolution):
+        points.append(start_at(plain, guess))
+        ends.append(follow(plain, points[-1:], prior))
+        if ends[-1].cost < rounding_of(plain):
+            return plain, ends[-1]
     part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
     shorter = part.rows < plain.rows
     end = _search_part(part, points, total, prior, trial, followed=not shorter)

@@ -30,13 +30,18 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
     Raises NotIdentifiableError in a trial if even held motions leave twice the cost of rounding.
     """
     rng, enough, starts = np.random.default_rng(1), rounding_of(plain), plain.first_starts()
-    ends = [_descend(hold(plain, q, RELEASE_TUNING.rates[0]), q, starts, prior, RELEASE_TUNING.first) for q in points]
+    first = [(hold(plain, q, RELEASE_TUNING.rates[0]), q) for q in points]
+    first.sort(key=lambda pair: sum_squares(pair[0], pair[1], starts))
+    ends = [_descend(held, q, starts, prior, RELEASE_TUNING.first) for held, q in first[: RELEASE_TUNING.held]]
+    if trial and min(end.cost for end in ends) > 2 * enough:
+        raise NotIdentifiableError("two masses do not follow")
     ends.sort(key=lambda end: end.cost)
     for number, rate in enumerate(RELEASE_TUNING.rates[1:], 1):
         tried = []
         for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
             held = hold(plain, end.q, rate)
-            tried.append(_search(held, _descend(held, end.q, end.starts, prior), prior, rng))
+            near = _descend(held, end.q, end.starts, prior)
+            tried.append(near if trial else _search(held, near, prior, rng))
             if tried[-1].cost < enough:
                 free = _let_go(plain, tried[-1].q, tried[-1].starts, prior, rng)
                 if free.cost < enough:
@@ -63,6 +68,11 @@ def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats) -> Optimu
 def rounding_of(problem: FitProblem) -> float:
     """Return the largest softened cost that rounding alone leaves."""
     return soften(problem.stretches).rounded_cost
+
+
+def sum_squares(problem: FitProblem, q: Floats, starts: Floats) -> float:
+    """Return the sum of the squares of the residuals [counts^2]."""
+    return sum(float(e @ e) for e in problem.residuals(q, starts))
 
 
 def _mend(plain: FitProblem, best: Optimum, prior: Floats) -> Optimum:
@@ -121,7 +131,7 @@ def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Gen
         A = end.normal.A + np.diag(prior)
         sizes = 10 ** -rng.random(RELEASE_TUNING.tries)
         near = [problem.clip_to_bounds(end.q + size * random_step(A, rng)) for size in sizes]
-        costs = [sum(float(e @ e) for e in problem.residuals(q, end.starts)) for q in near]
+        costs = [sum_squares(problem, q, end.starts) for q in near]
         best = _descend(problem, near[int(np.argmin(costs))], end.starts, prior)
         if not best.cost < end.cost:
             break

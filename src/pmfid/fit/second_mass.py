@@ -69,7 +69,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class PairTrial:
-    """The search for two masses on a spring in a record of one mass."""
+    """The search for two masses in a record of one mass."""
 
     record: FitProblem
 
@@ -84,6 +84,12 @@ class PairTrial:
             problem, end = pair
             whole = part is longest or explains_all(replace(problem, stretches=(longest,)), end.q)
         return Pair(problem, end, whole)
+
+    @property
+    def play(self) -> tuple[FitProblem, Optimum] | None:
+        """The fit of two masses with play to that part, or None if it leaves more than rounding."""
+        with np.errstate(all="ignore"):
+            return _explain(self.record, _longest_and_shaken(self.record)[1], _play)
 
     @property
     def explains(self) -> bool:
@@ -102,10 +108,11 @@ def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondM
     one = _fit_one_mass(problem, q, part)
     if one[1].cost < rounding_of(one[0]):
         return None
-    pair = _explain(problem, part, _play) if trial.pair is None else (trial.pair.problem, trial.pair.end)
+    pair = trial.play if trial.pair is None else (trial.pair.problem, trial.pair.end)
     if pair is None:
         return None
-    odds = _evidence(*pair) - _evidence(*one) + ODDS
+    two = replace(pair[0], stretches=(part,)), pair[1]
+    odds = _evidence(*two) - _evidence(*one) + ODDS
     odds -= 0.5 * (TUNING.further + pair[0].machine.plays) * math.log(part.y.size)
     return _read(*pair, odds) if odds > 0 else None
 

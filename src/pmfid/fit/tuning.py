@@ -9,14 +9,15 @@ from dataclasses import dataclass
 class ElasticTuning:
     """Sizes of `fit.driven`, `fit.elastic` and `fit.second_mass`."""
 
-    #: Widths of the kernel [steps], and the largest part of rounding in the acceleration.
+    #: Widths of the kernel [steps], the largest part of rounding in the acceleration, and the numbers of wider kernels
+    #: that make a guess of their own. A kernel below 1.1 steps has derivatives that show the position itself (aliasing).
     kernels: tuple[float, ...] = (1.2, 1.8, 2.6, 3.8, 5.7, 8.4, 12.5, 18.5, 27.0, 40.0, 60.0)
     rounding: float = 0.05
     wider: tuple[int, ...] = (0, 2)
     #: Length of the kernel in widths. Derivatives by a shorter one would show the position itself.
     tail: float = 6.0
-    #: Loads of the scan by motion: highest rate [1/step] and antiresonance [Hz], loads per octave, damping ratio, and
-    #: Coulomb friction per mass over the size of the acceleration.
+    #: Loads of the scan by motion: highest rate [1/step] and antiresonance [Hz], loads per octave, damping ratio,
+    #: drag over the rate, and Coulomb friction per mass over the size of the acceleration.
     fastest: float = 0.3
     highest_load: float = 150.0
     loads_per_octave: int = 3
@@ -80,8 +81,9 @@ class ReleaseTuning:
 
     #: Rates of the spring [1/step].
     rates: tuple[float, ...] = (0.3, 0.1, 0.05, 0.025, 0.012, 0.006, 0.003)
-    #: Steps of the solver with the first spring and with the others, and the least distance of fits that are followed
+    #: Starts that are held. Steps of the solver with the first spring and with the others, and the least distance of fits that are followed
     #: in the logarithms of the share of the load, and of gap or stiffness.
+    held: int = 16
     first: int = 5
     steps: int = 15
     apart: float = 0.15
