@@ -13,11 +13,11 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64031,
-    "lines of code in src": 37377,
+    "lines of src": 64134,
+    "lines of code in src": 37443,
     "lines of code in report and cli": 2927,
     "thresholds in src": 955,
-    "lines of csrc": 8677,
+    "lines of csrc": 8676,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
     "lines of tests": 27725,

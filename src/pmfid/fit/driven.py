@@ -16,7 +16,7 @@ import numpy as np
 
 from pmfid._body import drive_load
 from pmfid.fit.problem import ObservedStretch
-from pmfid.fit.tuning import TUNING
+from pmfid.fit.tuning import RELEASE_TUNING, TUNING
 from pmfid.types import Floats
 
 
@@ -126,19 +126,14 @@ def _refine(record: SmoothRecord, basis: Floats, rest: Floats, load: Floats) -> 
     eliminated (variable projection; Golub and Pereyra 1973). The `basis` (m, 4) is that of a rigid motor."""
     from scipy.optimize import least_squares
 
-    def leave(loads: Floats) -> Floats:
-        forces = record.loads(loads)
-        forces -= basis @ (basis.T @ forces)
-        forces /= np.maximum(np.linalg.norm(forces, axis=0), 1e-300)
-        return np.asarray(rest[:, None] - forces * np.maximum(rest @ forces, 0.0))
-
-    def slopes(load: Floats) -> Floats:
-        left = leave(load + np.vstack([np.zeros(4), TUNING.shift * np.eye(4)]))
-        return np.asarray((left[:, 1:] - left[:, :1]) / TUNING.shift)
+    def leave(load: Floats) -> Floats:
+        force = record.loads(load[None])[:, 0]
+        force -= basis @ (basis.T @ force)
+        mass = max(float(rest @ force), 0.0) / max(float(force @ force), 1e-300)
+        return np.asarray(rest - mass * force)
 
     rest = rest / np.linalg.norm(rest)
-    bounds = (load - TUNING.farthest, load + TUNING.farthest)
-    end = least_squares(lambda one: leave(one[None])[:, 0], load, slopes, bounds, max_nfev=TUNING.tries)
+    end = least_squares(leave, load, bounds=(load - TUNING.far, load + TUNING.far), max_nfev=RELEASE_TUNING.steps)
     return float(end.cost), np.asarray(end.x)
 
 
@@ -150,7 +145,7 @@ def _list_loads(record: SmoothRecord) -> Floats:
     size = float(np.std(record.columns[:, 0])) + 1e-300
     return np.log(
         [
-            (w * w, 2 * TUNING.load_ratio * w, drag * w, friction * size)
+            (w * w, drag * w, drag * w, friction * size)
             for w, drag, friction in product(rates.tolist(), TUNING.drags, TUNING.frictions)
         ]
     )

@@ -9,29 +9,24 @@ from dataclasses import dataclass
 class ElasticTuning:
     """Sizes of `fit.driven`, `fit.elastic` and `fit.second_mass`."""
 
-    #: Widths of the kernel [steps], the largest part of rounding in the acceleration, and the numbers of wider kernels
-    #: that make a guess of their own. A kernel below 1.1 steps has derivatives that show the position itself (aliasing).
+    #: Widths of the kernel [steps], the largest part of rounding in the acceleration, and the steps to wider kernels,
+    #: each with a guess of its own. The derivatives of a kernel below 1.1 steps show the position itself (aliasing).
     kernels: tuple[float, ...] = (1.2, 1.8, 2.6, 3.8, 5.7, 8.4, 12.5, 18.5, 27.0, 40.0, 60.0)
     rounding: float = 0.05
     wider: tuple[int, ...] = (0, 2)
     #: Length of the kernel in widths. Derivatives by a shorter one would show the position itself.
     tail: float = 6.0
-    #: Loads of the scan by motion: highest rate [1/step] and antiresonance [Hz], loads per octave, damping ratio,
+    #: Loads of the scan by motion: highest rate [1/step] and antiresonance [Hz], loads per octave, damping and
     #: drag over the rate, and Coulomb friction per mass over the size of the acceleration.
     fastest: float = 0.3
     highest_load: float = 150.0
     loads_per_octave: int = 3
-    load_ratio: float = 0.03
-    drags: tuple[float, ...] = (0.003, 0.3)
+    drags: tuple[float, ...] = (0.03, 0.3)
     frictions: tuple[float, ...] = (0.1, 0.5, 2.0, 6.0, 20.0)
     #: Parts of a sample in which a load moves.
     parts: int = 6
-    #: Loads whose four constants are refined, most trials of each, the shift of a logarithm that shows its slope, and
-    #: the farthest ones.
+    #: Loads whose four constants are refined.
     kept: int = 3
-    tries: int = 20
-    shift: float = 1e-3
-    farthest: float = 5.0
     #: Samples of the part in which two masses are sought, where no guess follows the record or one mass does not
     #: explain it.
     part: int = 2000
@@ -46,7 +41,7 @@ class ElasticTuning:
     per_octave: int = 3
     shares: tuple[float, ...] = (0.3, 0.75)
     ratio: float = 0.05
-    #: Largest distance of a mass from the first guess, as a logarithm.
+    #: Largest distance of a mass, or of a constant of a load, from the first guess, as a logarithm.
     far: float = 5.0
     #: Widths of the smoothing of the first guesses, as a part of the record.
     widths: tuple[float, ...] = (0.002, 0.005, 0.01, 0.02, 0.05)
@@ -81,8 +76,8 @@ class ReleaseTuning:
 
     #: Rates of the spring [1/step].
     rates: tuple[float, ...] = (0.3, 0.1, 0.05, 0.025, 0.012, 0.006, 0.003)
-    #: Starts that are held. Steps of the solver with the first spring and with the others, and the least distance of fits that are followed
-    #: in the logarithms of the share of the load, and of gap or stiffness.
+    #: Starts that are held. Steps of the solver with the first spring and with the others, and the least distance of
+    #: fits that are followed in the logarithms of the share of the load, and of gap or stiffness.
     held: int = 16
     first: int = 5
     steps: int = 15
