@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64134,
-    "lines of code in src": 37443,
+    "lines of src": 64137,
+    "lines of code in src": 37446,
     "lines of code in report and cli": 2927,
     "thresholds in src": 955,
     "lines of csrc": 8676,

@@ -97,7 +97,7 @@ def test_a_rigid_axis_names_the_second_mass() -> None:
     rigid = pmfid.identify(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=pmfid.Encoder(resolution))
     (named,) = [one for one in rigid.findings if one.code == "two_mass"]
     assert rigid["mass"] == pytest.approx(1.0, rel=0.01)
-    assert "viscous_friction over both masses is 0.700" in named.detail
+    assert "viscous_friction over both masses is 0.70" in named.detail
     assert "two_mass" in rigid.status
     assert "a resonance at 60 Hz" in named.sentence
     assert named.remedy == 'set body = "two-mass" in [model]'

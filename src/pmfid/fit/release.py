@@ -32,7 +32,10 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
     rng, enough, starts = np.random.default_rng(1), rounding_of(plain), plain.first_starts()
     first = [(hold(plain, q, RELEASE_TUNING.rates[0]), q) for q in points]
     first.sort(key=lambda pair: sum_squares(pair[0], pair[1], starts))
-    ends = [_descend(held, q, starts, prior, RELEASE_TUNING.first) for held, q in first[: RELEASE_TUNING.held]]
+    ends = [
+        _descend(held, q, starts, prior, RELEASE_TUNING.first)
+        for held, q in first[: RELEASE_TUNING.held if trial else None]
+    ]
     if trial and min(end.cost for end in ends) > 2 * enough:
         raise NotIdentifiableError("two masses do not follow")
     ends.sort(key=lambda end: end.cost)

@@ -76,8 +76,8 @@ class ReleaseTuning:
 
     #: Rates of the spring [1/step].
     rates: tuple[float, ...] = (0.3, 0.1, 0.05, 0.025, 0.012, 0.006, 0.003)
-    #: Starts that are held. Steps of the solver with the first spring and with the others, and the least distance of
-    #: fits that are followed in the logarithms of the share of the load, and of gap or stiffness.
+    #: Starts that a trial holds, steps of the solver with the first spring and with the others, and the least distance
+    #: of fits that are followed in the logarithms of the share of the load, and of gap or stiffness.
     held: int = 16
     first: int = 5
     steps: int = 15
