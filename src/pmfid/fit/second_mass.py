@@ -58,7 +58,7 @@ class SecondMass:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class FollowedPair:
     """A fit of two masses that explains every count of a part of a record. `whole` is True if the fit explains every
     count of the longest stretch."""
 
@@ -74,7 +74,7 @@ class PairTrial:
     record: FitProblem
 
     @cached_property
-    def pair(self) -> Pair | None:
+    def pair(self) -> FollowedPair | None:
         """The two masses, or None if no pair explains every count of the part with the largest accelerations."""
         longest, part = _longest_and_shaken(self.record)
         with np.errstate(all="ignore"):
@@ -83,7 +83,7 @@ class PairTrial:
                 return None
             problem, end = pair
             whole = part is longest or explains_all(replace(problem, stretches=(longest,)), end.q)
-        return Pair(problem, end, whole)
+        return FollowedPair(problem, end, whole)
 
     @property
     def play(self) -> tuple[FitProblem, Optimum] | None:
