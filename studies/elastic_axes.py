@@ -206,7 +206,7 @@ def judge_disc(seed: int, index: int) -> Verdict:
     truth, mass = amplitude * np.array([np.cos(phase), np.sin(phase)]), case.truth["mass"]
     named = [one for one in result.forces if one.chosen and one.candidates[0].words == ONCE]
     held, off = int(low <= mass <= high), result.theta[0] - mass
-    silent = not result.status and abs(off) > max(BARS * (high - low) / 2 / NORMAL_95, RIGHT * mass)
+    silent = not result.status and bool(abs(off) > max(BARS * (high - low) / 2 / NORMAL_95, RIGHT * mass))
     text = f"{facts}; {' '.join(result.status)}; mass {100 * off / mass:.2g} %"
     if not named:
         return Verdict(False, held, 1, silent, seconds, f"{text}; no disc")

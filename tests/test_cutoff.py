@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.estimators.tuning import TUNING
 from pmfid.pipeline.result import Result
 from pmfid.simulation import Machine
@@ -51,9 +49,7 @@ def test_the_command_needs_none_and_export_asks_for_one_or_a_record(tmp_path: Pa
     toml = tmp_path / "axis.toml"
     toml.write_text(counted_axis(axis.dt, record.resolution, axis.drive.input_gain))
     paths = [str(tmp_path / "r.csv"), "--config", str(toml)]
-    found = CliRunner().invoke(main, ["identify", *paths, "--json"])
-    assert json.loads(found.stdout)["cutoff"] > 0
+    assert json.loads(run_command("identify", *paths, "--json").stdout)["cutoff"] > 0
     export = ["export", str(toml), "--out", str(tmp_path / "c")]
-    refused = CliRunner().invoke(main, export)
-    assert "cutoff is missing" in refused.output
+    assert "cutoff is missing" in run_command(*export, code=2).output
     run_command(*export, "--record", paths[0])

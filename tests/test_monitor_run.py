@@ -10,12 +10,11 @@ from typing import Any
 
 import polars as pl
 import pytest
-from click.testing import CliRunner
 
-from pmfid.cli.main import main
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
+from tests.command import run_command
 
 CHANGE = 15.0
 
@@ -33,9 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def invoke(folder: Path, *arguments: str, code: int = 0) -> str:
-    words = ["monitor", str(folder / "run.csv"), "--config", str(folder / "axis.toml"), *arguments]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == code, result.output
+    result = run_command("monitor", folder / "run.csv", "--config", folder / "axis.toml", *arguments, code=code)
     return result.stdout if code == 0 else result.output
 
 
@@ -80,4 +77,4 @@ def test_estimates_as_text_are_those_of_parquet(folder: Path, read: str) -> None
     assert pl.read_csv(out).equals(pl.read_parquet(folder / "out.parquet").cast({"status": pl.Int64}))
     for option, name in (("--out", "run.csv"), ("--report", "normal.csv")):
         assert "would replace" in invoke(folder, option, str(folder / name), code=2)
-    assert "pmfid serve" in CliRunner().invoke(main, ["monitor", "-"]).output
+    assert "pmfid serve" in run_command("monitor", "-", code=2).output

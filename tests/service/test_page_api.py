@@ -46,8 +46,8 @@ def test_news_begin_with_everything_and_go_on_with_changes(page: Served) -> None
     number = page.plant.tell("gripper", event="gap", missing=3)
     second = page.json(f"/api/news?since={first['version']}")
     assert not second["first"]
-    (told,) = second["notices"]
-    assert (told["number"], told["text"]) == (number, "3 samples are missing before this one")
+    (notice,) = second["notices"]
+    assert (notice["number"], notice["text"]) == (number, "3 samples are missing before this one")
     assert (second["alarms"], second["groups"]) == ([], [])
     axis, deviation = (unpacked(first["groups"][0][name]) for name in ("axis", "deviation"))
     assert axis.tolist() == list(range(6))

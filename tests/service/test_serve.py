@@ -16,15 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from pmfid.cli.main import main
 from pmfid.pipeline.monitored import setup
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
+from tests.command import run_command
 from tests.patience import PATIENCE
 from tests.service.feed import standard_input
 
@@ -44,8 +43,7 @@ def folder(plant_place: Path) -> Path:
 
 
 def called(*arguments: str, code: int = 0, stdin: bytes | None = None) -> str:
-    result = CliRunner().invoke(main, list(arguments), input=stdin)
-    assert result.exit_code == code, result.output
+    result = run_command(*arguments, code=code, stdin=stdin)
     return result.stdout if code == 0 else result.output
 
 

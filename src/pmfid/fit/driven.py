@@ -22,7 +22,7 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class SmoothRecord:
-    """A stretch after smoothing: positions x (k,) at parts of a step, force (m,), and the columns (m, 4) of a rigid
+    """A stretch after smoothing: positions x (k,) at substeps, force (m,), and the columns (m, 4) of a rigid
     motor, which are acceleration, velocity, direction and 1. `width` is that of the kernel [steps], and `step` is in s.
     `moves` (m,) is 1 where the motor moves and 0 elsewhere: static friction balances any force, so that rows at a
     standstill are 0."""
@@ -36,7 +36,7 @@ class SmoothRecord:
 
     def loads(self, loads: Floats) -> Floats:
         """Return the smoothed forces (m, g) per mass of loads (g, 4), which are logarithms."""
-        forces = drive_load(self.x, self.step / TUNING.parts, TUNING.parts, np.ascontiguousarray(np.exp(loads)))
+        forces = drive_load(self.x, self.step / TUNING.substeps, TUNING.substeps, np.ascontiguousarray(np.exp(loads)))
         return np.asarray((self.moves * _smooth(forces, self.width)).T)
 
 
@@ -69,10 +69,11 @@ def smooth_record(stretch: ObservedStretch, resolution: float, wider: int = 0) -
     speed = _smooth(y, width, 1, cut=False)
     rounding = resolution * math.sqrt((1 / 12) / (4 * math.sqrt(math.pi) * width**3))
     direction = np.sign(speed) * (np.abs(speed) > 3 * rounding)  # rounding alone is below three standard deviations
+    # most of the kernel's weight is on a motion whose direction is sure
     moves = (_smooth(np.abs(direction), width) > 0.5).astype(np.float64)
     columns = [_smooth(y, width, 2) / step**2, _smooth(y, width, 1) / step, _smooth(direction, width)]
     columns.append(np.ones(columns[0].size))
-    x = make_interp_spline(np.arange(count), y)(np.arange(TUNING.parts * (count - 1) + 1) / TUNING.parts)
+    x = make_interp_spline(np.arange(count), y)(np.arange(TUNING.substeps * (count - 1) + 1) / TUNING.substeps)
     return SmoothRecord(x, moves * _smooth(u, width), moves[:, None] * np.column_stack(columns), width, step, moves)
 
 

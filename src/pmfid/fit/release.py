@@ -36,10 +36,10 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
         _descend(held, q, starts, prior, RELEASE_TUNING.first)
         for held, q in first[: RELEASE_TUNING.held if trial else None]
     ]
-    if trial and min(end.cost for end in ends) > 2 * enough:
-        raise NotIdentifiableError("two masses do not follow")
     ends.sort(key=lambda end: end.cost)
     for number, rate in enumerate(RELEASE_TUNING.rates[1:], 1):
+        if trial and ends[0].cost > 2 * enough:
+            raise NotIdentifiableError("two masses do not follow")
         tried = []
         for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
             held = hold(plain, end.q, rate)
@@ -50,8 +50,6 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
                 if free.cost < enough:
                     return free
         ends = sorted(tried, key=lambda end: end.cost)
-        if trial and ends[0].cost > 2 * enough:
-            raise NotIdentifiableError("two masses do not follow")
     ends = [_let_go(plain, end.q, end.starts, prior, rng) for end in ends]
     return _mend(plain, min(ends, key=lambda end: end.cost), prior)
 

@@ -69,7 +69,7 @@ class FollowedPair:
 
 @dataclass(frozen=True, eq=False)
 class PairTrial:
-    """The search for two masses in a record of one mass."""
+    """The search for two masses in a `record`, which is the problem of one mass without candidates."""
 
     record: FitProblem
 

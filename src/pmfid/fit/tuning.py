@@ -23,8 +23,8 @@ class ElasticTuning:
     loads_per_octave: int = 3
     drags: tuple[float, ...] = (0.03, 0.3)
     frictions: tuple[float, ...] = (0.1, 0.5, 2.0, 6.0, 20.0)
-    #: Parts of a sample in which a load moves.
-    parts: int = 6
+    #: Steps of a load between two samples.
+    substeps: int = 6
     #: Loads whose four constants are refined.
     kept: int = 3
     #: Samples of the part in which two masses are sought, where no guess follows the record or one mass does not
