@@ -14,8 +14,8 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 64137,
-    "lines of code in src": 37444,
-    "lines of code in report and cli": 2927,
+    "lines of code in src": 37438,
+    "lines of code in report and cli": 2920,
     "thresholds in src": 955,
     "lines of csrc": 8676,
     "defines of csrc": 194,

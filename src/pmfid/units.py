@@ -73,7 +73,7 @@ _ALIASES = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "u": "rev", "turns": "rev",
     "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "r/min": "rpm", "1/s": "rev/s", "rps": "rev/s", "m.s-1": "m/s",
     "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
-    "ampere": "A", "amperes": "A", "newtons": "N", "newtonmeter": "N m", "newtonmetre": "N m",
+    "ampere": "A", "amperes": "A", "newtons": "N", "newtonmeter": "N m", "newtonmetre": "N m", "0.1%": "permille",
     "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
 }  # fmt: skip
 #: Units that messages name in addition to the SI units.
@@ -91,7 +91,7 @@ _MEASURED = {
     "V": re.compile(r"[uv][abcdmqs]?|.*(volts?|voltage|spannung)"),
     "N": re.compile(r"f[xyz]?|thrust|.*(force|kraft)"),
 }
-_IN_BRACKETS = re.compile(r"[\[(]([^\])\d]*)[\])]")
+_IN_BRACKETS = re.compile(r"[\[(]([^\])\d]*|0\.1 ?%)[\])]")
 #: Words after the unit.
 _AFTER_UNIT = re.compile(r"([\s_.]+(filt\w*|smooth\w*|raw|meas\w*|act|actual|avg|mean|rms))+$", re.IGNORECASE)
 

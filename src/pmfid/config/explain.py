@@ -34,8 +34,8 @@ _PLAIN: dict[object, str] = {str: "text", float: "number", bool: "true or false"
 _LIMITS = {Gt: (">", "gt"), Ge: (">=", "ge"), Lt: ("<", "lt"), Le: ("<=", "le")}
 _KEY = "key of AXIS.toml"
 STATUS = (
-    "The status lists each finding that may move a parameter beyond its error bar and the tolerance; none: no finding "
-    "does. pmfid explain WORD describes one word of it."
+    "The status lists each finding that may move a parameter beyond its error bar and the tolerance. The word none "
+    "stands for no such finding. pmfid explain WORD describes a word."
 )
 
 

@@ -23,10 +23,6 @@ FLAGS = {
         "a second mass on a spring explains the record better, and the inertia of the rigid axis is not that of both: "
         'set body = "two-mass" in [model]'
     ),
-    "unseen": (
-        "effects that this motion cannot show, such as a dead zone under an input of one size, widen the intervals: "
-        "record an input of several sizes"
-    ),
     "biased": "this method has an error beyond its standard error on this record; the note gives a better value",
     "std_too_small": "the standard error does not contain the error of the method itself; the note gives its size",
     "prior_contradicted": (

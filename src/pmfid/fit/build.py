@@ -16,7 +16,6 @@ from pmfid.fit.search import GAIN, ROUNDS, SETTLED, WITHIN, FitSearch, errors_of
 from pmfid.fit.shooting import settle_starts
 from pmfid.fit.solve import normal_of, solve
 from pmfid.fit.starts import MOST_ROWS
-from pmfid.fit.terms import waves
 from pmfid.types import Floats
 
 #: Most steps of the comparison; most wavenumbers that a record is searched for, those at a time, and the likeliest.
@@ -213,7 +212,7 @@ def _take_wave(search: FitSearch, wave: WeighedWave) -> None:
     optimum = solve(problem, search.noise, q, search.starts, search.prior(problem), 10, GAIN)
     first = len(search.table)
     search.q, search.starts = optimum.q[:-2], optimum.starts
-    search.table = [*search.table, *waves(wave.kind, 1 / wave.wavenumber, search.wave_size(wave.kind))]
+    search.table = [*search.table, *search.make_waves(wave.kind, wave.wavenumber)]
     search.choose([*search.chosen, first, first + 1])
     places = dict(zip(search.chosen, search.problem.places, strict=True))
     search.q[[places[first], places[first + 1]]] = optimum.q[-2:]
@@ -222,7 +221,7 @@ def _take_wave(search: FitSearch, wave: WeighedWave) -> None:
 def _with_waves(problem: FitProblem, search: FitSearch, kind: str, wavenumbers: Floats) -> FitProblem:
     """Return the problem with sine and cosine for each wavenumber [1/unit]. A force acts at the measured position,
     because that of the simulated motion may be a period away."""
-    pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, search.wave_size(kind))]
+    pairs = [one for w in wavenumbers.tolist() for one in search.make_waves(kind, w)]
     problem = problem.with_candidates([*problem.candidates, *pairs])
     forces = [one.force for one in pairs if one.force is not None]
     return problem.hold(forces) if forces else problem

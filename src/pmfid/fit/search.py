@@ -17,7 +17,7 @@ from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, random_step, solve
 from pmfid.fit.starts import blind_start, sizes_of
-from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
+from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants, waves
 from pmfid.fit.tuning import MOTION
 from pmfid.fit.within import reach_counts, start_precision
 from pmfid.types import Floats
@@ -264,9 +264,10 @@ class FitSearch:
         body, _, _ = self.problem._body(self.q)
         return max(0.0, float(body[VISCOUS] / body[MASS]))
 
-    def wave_size(self, kind: str) -> float:
-        """Return the standard deviation of the size of a wave of one kind of `WAVES`."""
-        return 0.3 * self.sizes.coulomb if kind else 3 * self.problem.resolution
+    def make_waves(self, kind: str, wavenumber: float) -> list[ExtraForce]:
+        """Return the waves of one kind of `WAVES` with a wavenumber [1/unit]."""
+        size = 0.3 * self.sizes.coulomb if kind else 3 * self.problem.resolution
+        return waves(kind, 1 / wavenumber, size, "rad" if self.problem.machine.turn else "m")
 
     def reaches_bound(self, q: Floats) -> bool:
         """Return whether the mass of q (p,) is at a bound, where no motion of the model follows the record."""

@@ -331,8 +331,8 @@ TABLE: tuple[Row, ...] = (
 
 #: Effects that repeat along the travel: name, words and remedy, by the kind of the force; "" is an encoder's error.
 WAVES = {
-    "wave": ("cogging", "a force", "set cogging = {:.6g}"),
-    "rub": ("friction_period", "friction", "set friction_period = {:.6g}"),
+    "wave": ("cogging", "a force", 'set cogging = "{:.6g} {}"'),
+    "rub": ("friction_period", "friction", 'set friction_period = "{:.6g} {}"'),
     "": (
         "encoder",
         "an error of the encoder",
@@ -341,11 +341,11 @@ WAVES = {
 }
 
 
-def waves(kind: str, period: float, size: float) -> list[ExtraForce]:
-    """Return the sine and the cosine of an effect of one kind of `WAVES` with a period along the travel."""
+def waves(kind: str, period: float, size: float, unit: str) -> list[ExtraForce]:
+    """Return the sine and the cosine of an effect of one kind of `WAVES` with a period [unit] along the travel."""
     name, what, remedy = WAVES[kind]
-    words, remedy = f"{what} that repeats every {period:.4g} of travel", remedy.format(period)
-    moves = (lambda other: waves(kind, other, size)[0], lambda other: waves(kind, other, size)[1])
+    words, remedy = f"{what} that repeats every {period:.4g} {unit} of travel", remedy.format(period, unit)
+    moves = (lambda other: waves(kind, other, size, unit)[0], lambda other: waves(kind, other, size, unit)[1])
     candidates = []
     for phase, move in zip((0.0, math.pi / 2), moves, strict=True):
         form = {"force": BodyForce(kind, period, phase)} if kind else {"reading": (period, phase)}

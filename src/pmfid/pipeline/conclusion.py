@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid.diagnostics.matter import OF_LOG, sizes
-from pmfid.findings import Finding
+from pmfid.findings import MOVE, Finding
 from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.result import ProcessResult, Result, format_value
 
@@ -35,9 +35,8 @@ def conclude(result: Result) -> Conclusion:
     left = next((finding.remedy for finding in result.findings if finding.code == "to_do"), "")
     if left:
         return Conclusion(f"Incomplete: {says}.", f"Do this first: {left}.")
-    wide = next((finding.remedy for finding in result.findings if finding.code == "unseen"), "")
-    action = f"If this is too wide: {wide}." if wide else "Nothing is left to do"
-    return Conclusion(f"{grade}: {says}.", f"{action}; pmfid validate tests it on another record.".replace(".;", ";"))
+    wide = next((finding.remedy for finding in result.findings if finding.code == "model_spread"), MOVE)
+    return Conclusion(f"{grade}: {says}.", f"pmfid validate tests it on another record. If it is too wide, {wide}.")
 
 
 def _most_useful(doubts: list[Finding]) -> Finding:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import cast
 
+import numpy as np
+
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import sizes
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -25,7 +27,7 @@ from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.records.record import Record
-from pmfid.units import OUTPUTS, Quantity, column_unit
+from pmfid.units import Quantity, quantity
 
 #: Keys of [model] with a period of the position.
 PERIODS = ("cogging", "friction_period", "gravity")
@@ -39,14 +41,14 @@ def format_terms(added: Mapping[str, object]) -> str:
     )
 
 
-def write_line(key: str, value: object, unit: str) -> str:
-    """Return a line of [model] in which a period has the given unit, and a number with a unit has its own."""
+def write_line(key: str, value: object) -> str:
+    """Return a line of [model] in which a number with a unit has its own."""
     if isinstance(value, bool):
         return f"{key} = {str(value).lower()}"
     if isinstance(value, Quantity):
         return f'{key} = "{float(value) / value.unit.factor:.9g} {value.unit.name}"'
     if isinstance(value, float):
-        return f'{key} = "{value:.9g} {unit}"' if key in PERIODS and unit else f"{key} = {value:.9g}"
+        return f"{key} = {value:.9g}"
     return f'{key} = "{value}"'
 
 
@@ -56,7 +58,8 @@ class TermRow:
 
     `words` name it, and `remedy` says what to do. `added` holds the keys of [model] that express it. `chosen` says
     whether the fit has the force. `log_odds` is the logarithm of its posterior odds. `values` holds value, standard
-    error and unit of each size. `moved` is the change of each parameter by the force, relative to the parameter.
+    error and unit of each size. `moved` is the change of each parameter by the force, relative to the parameter or to
+    its larger standard error.
     """
 
     words: str
@@ -67,6 +70,12 @@ class TermRow:
     values: tuple[tuple[float, float, str], ...]
     moved: dict[str, float]
 
+    @property
+    def largest_change(self) -> str:
+        """The parameter that the force moves most, with its change."""
+        name, part = max(self.moved.items(), key=lambda pair: abs(pair[1]), default=("", 0.0))
+        return name and f"{name} {100 * part:+.2g} %"
+
     def to_json(self) -> dict[str, object]:
         """Return the object of the row. A number that is not finite becomes None."""
         values = [{"value": value, "std": std, "unit": unit} for value, std, unit in self.values]
@@ -74,16 +83,21 @@ class TermRow:
         return plain_dict(own | {"log_odds": self.log_odds, "values": values, "moved": self.moved})
 
 
+def _keys_of(force: WeighedForce) -> dict[str, object]:
+    """Return the keys of [model] that a force sets, with a period in its unit."""
+    return {key: quantity(value) for key, value in force.candidates[0].change.items()}
+
+
 def make_row(force: WeighedForce, result: DriveResult) -> TermRow:
     """Return the row of a force in the fit of a result."""
     turns, names = result.estimator.model.equation.motion.travel == "rad", result.names
     first = force.candidates[0]
     units = [rotary(one.unit) if turns else one.unit for one in force.candidates]
-    scale = sizes(result.estimator, result.theta)
+    scale = np.fmax(sizes(result.estimator, result.theta), result.theta_std)
     return TermRow(
         first.words,
         first.remedy,
-        first.change,
+        _keys_of(force),
         force.chosen,
         force.odds,
         tuple(zip(force.sizes.tolist(), force.stds.tolist(), units, strict=True)),
@@ -116,8 +130,6 @@ class TermSearch(Presentable):
         The keys of [model] that the search sets, with their values.
     rows : tuple of TermRow
         All forces that the search compared, the chosen ones first.
-    unit : str
-        Unit of the periods in `lines`, if AXIS.toml needs one because the column of the output is not in SI.
 
     Examples
     --------
@@ -135,7 +147,6 @@ class TermSearch(Presentable):
     result: DriveResult
     added: dict[str, object]
     rows: tuple[TermRow, ...]
-    unit: str = ""
 
     @property
     def name(self) -> str:
@@ -167,7 +178,7 @@ class TermSearch(Presentable):
         return (
             "[model]",
             'kind = "drive"',
-            *(write_line(key, value, self.unit) for key, value, usual in values if value != usual),
+            *(write_line(key, value) for key, value, usual in values if value != usual),
         )
 
     @property
@@ -217,13 +228,12 @@ class TermSearch(Presentable):
 
 def term_rows(rows: Sequence[TermRow]) -> tuple[list[str], list[list[str]]]:
     """Return the header and a row of text for each force of a comparison."""
-    names = list(dict.fromkeys(name for row in rows for name in row.moved))
-    return ["term", "log odds", "size", *(f"{name} [%]" for name in names), "remedy"], [
+    return ["term", "log odds", "size", "largest change", "remedy"], [
         [
             row.words,
             f"{row.log_odds:+.3g}",
             ", ".join(f"{value:.3g} ± {std:.2g} {unit}" for value, std, unit in row.values),
-            *(f"{100 * row.moved[name]:+.2g}" if name in row.moved else "" for name in names),
+            row.largest_change,
             row.remedy,
         ]
         for row in rows
@@ -266,9 +276,7 @@ def search_drive(data: Record, axis: Axis) -> TermSearch:
         rows += [] if result.second is None else [make_second_row(result.second, axis)]
         result, added = better, {**added, **further}
     rows += _rows_of(result)
-    in_units = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
-    unit = model.equation.motion.travel if in_units else ""
-    return TermSearch(first, result, added, tuple(sorted(rows, key=lambda row: not row.chosen)), unit)
+    return TermSearch(first, result, added, tuple(sorted(rows, key=lambda row: not row.chosen)))
 
 
 def _rows_of(result: DriveResult) -> list[TermRow]:
@@ -288,7 +296,7 @@ def recommend(
     further: dict[str, object] = {}
     for force in sorted(forces, key=lambda force: force.odds):
         if force.chosen and force.odds > 0:
-            further |= force.candidates[0].change
+            further |= _keys_of(force)
     if "directional" in (further.get("friction"), model.friction):
         further |= {"offset": False} if model.offset else {}
         further = {key: value for key, value in further.items() if key != "offset" or value is False}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -46,29 +46,34 @@ HOW_TO_READ = (
 )
 
 
-def write_drive(out: Path, result: DriveResult) -> None:
-    """Write report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
+def write_result(out: Path, result: Result) -> None:
+    """Write report.html, result.json and, for a recursive method on a machine, track.parquet into the folder `out`.
 
     A track.parquet of an earlier run is removed.
     """
     out.mkdir(parents=True, exist_ok=True)
-    track = out / "track.parquet"
+    track, said = out / "track.parquet", conclude(result)
     if not track.is_dir():
         track.unlink(missing_ok=True)
-    if result.track is not None:
+    if isinstance(result, DriveResult):
         _write_track(track, result)
-    said = conclude(result)
+        title, sections = f"{result.record.name}: {result.estimator.method}", _drive_sections(out, result)
+    else:
+        title = f"transfer function: {result.estimator.method}"
+        sections = _process_sections(cast(ProcessResult, result))
+    lead = said.sentence, said.action
+    write_page(out, ResultPage("report", title, result.to_json(), sections, lead, data="result"))
+
+
+def _drive_sections(out: Path, result: DriveResult) -> list[Section]:
+    """Return the sections of a machine. Two masses are also written into the folder `out`, for MuJoCo."""
     text, table = "\n\n".join(findings_lines(result, notes=False)), (parameter_header(result), parameter_rows(result))
     sections, masses = [Section("Parameters", text, table)], result.two_masses
     if masses is not None:
         (out / "two_masses.xml").write_text(masses.to_mjcf(), encoding="utf-8")
         rows = [(one.controller or "any", one.name, one.value, one.unit) for one in masses.settings()]
         sections.append(Section("Settings of controllers", table=(("controller", "setting", "value", "unit"), rows)))
-    sections += [_model_check(result), _drive_notes(result), *_figures(result)]
-    title = f"{result.record.name}: {result.estimator.method}"
-    write_page(
-        out, ResultPage("report", title, result.to_json(), sections, (said.sentence, said.action), data="result")
-    )
+    return [*sections, _model_check(result), _drive_notes(result), *_figures(result)]
 
 
 def _write_track(path: Path, result: DriveResult) -> None:
@@ -146,15 +151,14 @@ def _figures(result: DriveResult) -> list[Section]:
     return sections
 
 
-def write_process(out: Path, result: ProcessResult) -> None:
-    """Write report.html and result.json into the folder `out`."""
-    said, notes = conclude(result), "\n\n".join(findings_lines(result, notes=True))
-    sections = [
+def _process_sections(result: ProcessResult) -> list[Section]:
+    notes = "\n\n".join(findings_lines(result, notes=True))
+    return [
         Section("Parameters", _describe_process(result), (parameter_header(result), parameter_rows(result))),
         *(
-            [Section("Measured and simulated output", figure=lambda: output_figure(result))]
-            if result.fit is not None
-            else []
+            []
+            if result.fit is None
+            else [Section("Measured and simulated output", figure=partial(output_figure, result))]
         ),
         *([Section("Notes", notes, folded=True)] if notes else []),
         Section("Poles, zeros, gain", ROOTS, (("", "value", "std", ""), result.process.rows)),
@@ -162,10 +166,6 @@ def write_process(out: Path, result: ProcessResult) -> None:
         Section("Step response", BAND, figure=lambda: step_figure(result.process)),
         Section("Residual", _residual_text(result), figure=lambda: correlation_figure(result)),
     ]
-    title = f"transfer function: {result.estimator.method}"
-    write_page(
-        out, ResultPage("report", title, result.to_json(), sections, (said.sentence, said.action), data="result")
-    )
 
 
 BAND = "Band: two standard deviations."
@@ -329,12 +329,3 @@ def search_page(search: Search, name: str) -> ResultPage:
     remarks = [f"best for [model]: n = {best.n}, m = {best.m}, delay = {best.delay}"]
     remarks += [f"note: {note}" for note in notes]
     return ResultPage("order", f"{name}: poles, zeros and dead time", search_json(search), sections, remarks=remarks)
-
-
-def write_result(out: Path, result: Result) -> None:
-    """Write report.html and result.json into the folder `out`, for a recursive method on a machine also
-    track.parquet."""
-    if isinstance(result, ProcessResult):
-        write_process(out, result)
-    elif isinstance(result, DriveResult):
-        write_drive(out, result)

@@ -8,8 +8,8 @@ from pmfid.report.page import ResultPage, Section
 from pmfid.report.result import motion_figure
 
 FORCES = (
-    "log odds: natural logarithm of the odds that the force is there, in the noise of the residuals. The columns of "
-    "the parameters show how far each one moves by the force. A model that explains every count takes no further force."
+    "log odds: natural logarithm of the odds that the force is there, in the noise of the residuals. largest change: "
+    "the parameter that the force moves most. A model that explains every count takes no further force."
 )
 
 

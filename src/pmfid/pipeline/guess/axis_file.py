@@ -67,7 +67,7 @@ def find_to_do(path: Path) -> list[Finding]:
                 Finding(
                     "to_do",
                     says,
-                    f"write the right {' and '.join(keys)} into {path.name}, and delete each TO DO",
+                    f"make sure that {path.name} has the right {' and '.join(keys)}, and delete each TO DO",
                     "note",
                 )
             ]
@@ -129,7 +129,7 @@ def _guess(table: Table, path: Path, ask: Ask | None, choice: NamedColumns) -> A
     judgement = judge(rest, clock.dt, choice.input, choice.output)
     pair = judgement.best if choice.input is None or choice.output is None else next(iter(judgement.pairs), None)
     if pair is None:
-        raise UsageError(explain_refusal(judgement, rest, list(table)))
+        raise UsageError(explain_refusal(judgement, rest, table))
     result = AxisGuess(path.name)
     _record(result, pair, judgement, clock, choice)
     travel = _encoder(result, pair, columns[pair.output], clock.dt, ask)

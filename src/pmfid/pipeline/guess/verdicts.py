@@ -5,6 +5,8 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 
+from pmfid.findings import MOVE
+from pmfid.io.tables import Table, column
 from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair
 from pmfid.pipeline.guess.roles import evidence_of
 from pmfid.pipeline.tuning import TUNING
@@ -26,14 +28,18 @@ def describe_doubt(pair: Pair, judgement: Judgement) -> str:
     return "; ".join(doubts)
 
 
-def explain_refusal(judgement: Judgement, columns: Mapping[str, Floats], names: Sequence[str]) -> str:
-    """Return the refusal of a log that shows no input and output, with the numbers and the next best guess."""
-    still = [name for name in names if name not in columns and evidence_of(name).lean(*MOTION) > 0]
+def explain_refusal(judgement: Judgement, columns: Mapping[str, Floats], table: Table) -> str:
+    """Return the refusal of a log that shows no input and output, with the numbers and the next best guess.
+
+    Raises UsageError if a column that has the name of a motion has no numbers.
+    """
+    still = [name for name in table if name not in columns and evidence_of(name).lean(*MOTION) > 0]
     excluded = [f"{name} is {reason}" for name, reason in judgement.excluded.items()]
     forces = [name for name in columns if evidence_of(name).lean("input") > 0]
     seen = [name for name in columns if name not in judgement.excluded and evidence_of(name).lean(*MOTION) > 0]
     if still and not seen:
-        return f"the axis does not move: the column {still[0]} never changes; record a motion, or name it with --output"
+        column(table, "output", still[0])
+        return f"the column {still[0]} is constant or grows evenly; {MOVE}, or name another column with --output"
     goal = next((name for name, reason in judgement.excluded.items() if reason == "a set point"), None)
     best = next(iter(judgement.pairs), None)
     if seen and goal and (best is None or best.explained == 0 or not forces):
@@ -44,7 +50,7 @@ def explain_refusal(judgement: Judgement, columns: Mapping[str, Floats], names: 
     if best is None and judgement.excluded:
         return f"no column is a measured motion: {_shorten(excluded)}; log the encoder, or name it with --output"
     if best is None:
-        listed = [name if name in columns else f"{name} (constant, a clock, or no numbers)" for name in names]
+        listed = [name if name in columns else f"{name} (constant, a clock, or no numbers)" for name in table]
         return (
             f"no two columns can be input and output of an axis: {_shorten(listed)}; name the columns with --input, "
             "--output and --time"
