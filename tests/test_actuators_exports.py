@@ -43,10 +43,7 @@ def estimates(joint: FittedJoint) -> dict[str, float]:
 def test_mjcf_and_urdf_have_the_estimates(pendulum: FittedJoint) -> None:
     files, theta = make_files([pendulum]), estimates(pendulum)
     root = ElementTree.fromstring(files["servos.xml"])
-    joint, servo, mass = root.find(".//joint"), root.find(".//position"), root.find(".//inertial")
-    assert joint is not None
-    assert servo is not None
-    assert mass is not None
+    joint, servo, mass = (next(root.iter(tag)) for tag in ("joint", "position", "inertial"))
     length = -float(mass.attrib["pos"].split()[2])
     damping, kv = float(joint.attrib["damping"]), float(servo.attrib["kv"])
     total = float(joint.attrib["armature"]) + float(mass.attrib["diaginertia"].split()[1])
@@ -93,8 +90,10 @@ def test_the_other_files_have_the_estimates_by_their_own_names(pendulum: FittedJ
     assert 'kp="1"' in relative["servos.xml"]
 
 
-def test_a_joint_without_a_fit_is_left_out(pendulum: FittedJoint) -> None:
-    files = make_files([FittedJoint(pendulum.logs, None, "hardly moves")])
+@pytest.mark.parametrize("fitted", [False, True])
+def test_a_joint_without_an_inertia_is_left_out(pendulum: FittedJoint, fitted: bool) -> None:
+    fit = replace(pendulum.fit, theta_std=9 * np.abs(pendulum.fit.theta)) if fitted and pendulum.fit else None
+    files = make_files([FittedJoint(pendulum.logs, fit, "hardly moves")])
     assert all(NAME not in text for text in files.values())
     assert ElementTree.fromstring(files["servos.xml"]).find(".//joint") is None
 

@@ -86,8 +86,7 @@ class _Axle:
 def _list_axles(found: Sequence[FittedJoint]) -> list[_Axle]:
     axles = []
     for joint in found:
-        if joint.fit is not None:
-            fit = joint.fit
+        if (fit := joint.fit) is not None and "inertia" not in fit.open:
             std = dict(zip(fit.raw_names, fit.theta_std.tolist(), strict=True))
             std = {name: error for name, error in std.items() if name not in fit.open}
             base = {"kp": 1.0} if fit.servo.relative else {}
@@ -98,7 +97,7 @@ def _list_axles(found: Sequence[FittedJoint]) -> list[_Axle]:
 
 
 def make_files(found: Sequence[FittedJoint]) -> dict[str, str]:
-    """Return the texts of all files by name. A joint without a fit is left out."""
+    """Return the texts of all files by name. A joint without an inertia is left out."""
     axles = _list_axles(found)
     files = {"servos.xml": _make_mjcf(axles), "servos.urdf": _make_urdf(axles), "servos.yaml": _make_isaac(axles)}
     files["wpilib.json"] = json.dumps({own.name: _translate(own, WPILIB) for own in axles}, indent=2) + "\n"

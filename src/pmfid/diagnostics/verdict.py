@@ -127,4 +127,4 @@ def _check_sizes(estimator: Estimator, theta: Floats, std: Floats) -> Iterator[F
             )
         elif positive and deviation > 0.5 * abs(value):
             sentence = f"the error of {name} may exceed half its value"
-            yield Finding("uncertain", sentence, "excite the axis more, or lower the cutoff")
+            yield Finding("uncertain", sentence, "excite the axis more, or try another cutoff")
