@@ -15,7 +15,7 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 MOST = {
     "lines of src": 64136,
     "lines of code in src": 37437,
-    "lines of code in report and cli": 2920,
+    "lines of code in report and cli": 2919,
     "thresholds in src": 955,
     "lines of csrc": 8676,
     "defines of csrc": 194,

@@ -65,8 +65,9 @@ class Finding:
 
     @property
     def paragraph(self) -> str:
-        """Severity, sentence, remedy and detail, for a report."""
-        return f"{self.line}. {self.detail}" if self.detail else self.line
+        """Severity, sentence, remedy and detail as sentences, for a report."""
+        text = f"{self.line}. {self.detail}".rstrip(". ")
+        return f"{text[0].upper()}{text[1:]}."
 
     def to_json(self) -> dict[str, str]:
         return dict(vars(self))

@@ -36,7 +36,8 @@ def conclude(result: Result) -> Conclusion:
     if left:
         return Conclusion(f"Incomplete: {says}.", f"Do this first: {left}.")
     wide = next((finding.remedy for finding in result.findings if finding.code == "model_spread"), MOVE)
-    return Conclusion(f"{grade}: {says}.", f"pmfid validate tests it on another record. If it is too wide, {wide}.")
+    action = f"pmfid validate tests the model on another record. If an interval is too wide, {wide}."
+    return Conclusion(f"{grade}: {says}.", action)
 
 
 def _most_useful(doubts: list[Finding]) -> Finding:

@@ -56,8 +56,7 @@ def parameter_rows(result: Result) -> list[list[str]]:
 
 def findings_lines(result: Result, notes: bool) -> list[str]:
     """Return the findings that are notes, or all others, as paragraphs, most important first."""
-    shown = [finding.paragraph for finding in result.findings if (finding.severity == "note") == notes]
-    return [f"{text[0].upper()}{text[1:].rstrip('.')}." for text in shown]
+    return [finding.paragraph for finding in result.findings if (finding.severity == "note") == notes]
 
 
 def format_value(value: float, std: float) -> str:

@@ -41,10 +41,9 @@ def _draw_joint(joint: FittedJoint) -> Section:
     notes = [f"Note: {note}." for note in joint.notes]
     if fit is None:
         return Section(_name_joint(joint), "\n\n".join([f"Refused: {joint.refused}.", *notes]))
-    findings = [f"{finding.paragraph[0].upper()}{finding.paragraph[1:]}." for finding in fit.findings]
     deviation = f"The simulated motion deviates by {fit.residual / log.resolution:.2f} encoder steps (rms)."
     simulated = fit.simulated[0]
-    text, samples = "\n\n".join([deviation, *findings, *notes]), simulated.size
+    text, samples = "\n\n".join([deviation, *(finding.paragraph for finding in fit.findings), *notes]), simulated.size
     return Section(
         _name_joint(joint),
         text,

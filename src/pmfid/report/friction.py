@@ -22,7 +22,7 @@ def curve_page(found: FrictionCurve, name: str) -> ResultPage:
         f"The band is two standard deviations. The record goes from {back:.3g} to {ahead:.3g} {own.speed}. The curve "
         f"ends at {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}, and does not contain friction at rest."
     )
-    text = "\n\n".join([text, *(f"{finding.paragraph}." for finding in found.findings)])
+    text = "\n\n".join([text, *(finding.paragraph for finding in found.findings)])
     table = found.summary()
     section = Section("Friction over velocity", text, (table.header, table.rows), lambda: curve_figure(found))
     lead = [f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}."]
