@@ -118,5 +118,7 @@ def draw_estimates(word: str) -> Figure:
         )
     axis.axvline(CART.mass, color="0.3", ls="--")
     axis.set(yticks=[0, 1], yticklabels=[entry[0] for entry in ESTIMATES[word]], ylim=(1.7, -0.5))
+    axis.ticklabel_format(axis="x", useOffset=False)
+    axis.locator_params(axis="x", nbins=6)
     axis.set_xlabel("mass [kg]; thick: two standard errors; thin: 95 % interval; dashed: true mass")
     return figure
