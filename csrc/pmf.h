@@ -243,9 +243,9 @@ typedef struct {
     uint32_t n_parameters;
     uint32_t instrumental; /* 0: least squares, 1: instruments in their own columns */
     uint32_t first_column; /* first column of regressors, target and instruments */
+    uint32_t every; /* samples between two solutions, once the sums hold many samples; a power of two */
     uint32_t min_updates; /* updates before the first estimate */
-    uint32_t residual_updates; /* number of first updates that use the accumulated right-hand side. Later updates use
-                                  the innovation. */
+    uint32_t residual_updates; /* number of first updates after which a solution leaves no rest to the next one */
     scalar_t forgetting;
     scalar_t regularization; /* information that is never forgotten, as a fraction of the largest so far */
     scalar_t pivot; /* smallest relative pivot for a first estimate */
@@ -258,7 +258,7 @@ typedef struct {
     scalar_t lift; /* shift of the constant for the first count, as a multiple of `lowest` */
     uint32_t block; /* updates in a block with correlated errors. The spread of blocks scales P. */
     scalar_t correlated; /* number of updates with equal errors, assumed until blocks exist */
-    uint32_t half_memory; /* half memory, counted in looks at the motion; 0: nothing is forgotten */
+    uint32_t half_memory; /* half memory, counted in solutions; 0: nothing is forgotten */
     uint32_t leading; /* index of the parameter of the highest derivative */
     scalar_t haste, leak; /* weights of outdated information at the next sample, and of peaks after half a memory */
     scalar_t shown; /* inverse square of the encoder's error in the leading column */
@@ -277,7 +277,6 @@ typedef struct {
 typedef struct {
     real_t cross[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta phi^T; lower half for least squares */
     real_t square[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* sum zeta zeta^T, lower half; instruments only */
-    real_t right[PMF_MAX_PARAMETERS]; /* sum zeta z */
     real_t weight; /* sum of the discounted weights */
     real_t squares; /* sum of the squared weights */
 } pmf_sums_t;
@@ -307,6 +306,9 @@ typedef struct {
     real_t innovation_square;
     whole_t updates; /* number of updates, saturating */
     whole_t started; /* updates since the first estimate, 0 before, saturating */
+    real_t gathered[PMF_MAX_PARAMETERS]; /* sum of zeta times innovation since the last solution */
+    real_t rest[PMF_MAX_PARAMETERS]; /* part of the earlier innovations that a young solution has left */
+    whole_t verdict; /* status bits of the last solution */
     real_t score[PMF_MAX_PARAMETERS]; /* sum of zeta times innovation in this block */
     whole_t block_updates, blocks;
     whole_t moved; /* looks at samples in motion in this half memory */
@@ -317,6 +319,7 @@ typedef struct {
     real_t lift; /* effect of `lowest` on the constant of the output itself */
 #endif
     real_t misread[PMF_MAX_MISREADS]; /* sums of the sizes of errors from misread counts, over the diagonal of P */
+    real_t strayed[PMF_MAX_MISREADS]; /* sum of zeta times these errors since the last solution */
     real_t spread[PMF_MAX_MISREADS]; /* inflation without these errors */
     pmf_check_t check, check_before; /* checks of the model in this stretch of samples and in the last */
     whole_t unmodelled; /* last verdict of the check, as a status bit */

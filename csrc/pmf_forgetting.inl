@@ -16,8 +16,7 @@ PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recu
     return weight;
 }
 
-PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uint32_t p, uint32_t instrumental,
-                           truth_t with_right)
+PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uint32_t p, uint32_t instrumental)
 {
     const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
     uint32_t i, j;
@@ -30,24 +29,22 @@ PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uin
                 sums->square[i][j] = f * sums->square[i][j] + zeta[i] * zeta[j];
             }
         }
-        if (PMF_ANY(with_right)) {
-            sums->right[i] = PMF_IF(with_right, f * sums->right[i] + zeta[i] * column[p], sums->right[i]);
-        }
     }
     sums->weight = f * sums->weight + PMF_R(1.0);
     sums->squares = f * f * sums->squares + PMF_R(1.0);
 }
 
-PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
-                           uint32_t p, uint32_t instrumental)
+/* Add a sample to the sums, and return the weight of the samples before it. */
+PMF_INLINE real_t accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                             uint32_t p, uint32_t instrumental)
 {
     real_t fade = PMF_IF(state->frozen != 0U, PMF_R(1.0), PMF_ALIKE(config->forgetting));
     real_t f = PMF_IF(state->outdated != 0U, PMF_ALIKE(config->haste), memory_of(config, state, fade));
     state->outdated -= PMF_BIT(state->outdated != 0U, 1U);
-    add_sample(&state->sums, f, column, p, instrumental,
-               state->started <= config->residual_updates); /* unused after this point */
+    add_sample(&state->sums, f, column, p, instrumental);
     state->mass = fade * state->mass + (PMF_R(1.0) - fade);
     state->updates += PMF_BIT(state->updates < SATURATED, 1U);
+    return f;
 }
 
 /* The scale of information. Information from motions that were larger than recent ones is outdated. */
@@ -110,6 +107,6 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
     }
     excited = excited & (known > config->outgrown * (state->power + state->power_before));
-    state->outdated = PMF_IF(excited, PMF_W(2U * config->half_memory * PMF_LOOK), state->outdated);
+    state->outdated = PMF_IF(excited, PMF_W(2U * config->half_memory * config->every), state->outdated);
     end_half_memory(state, ends);
 }

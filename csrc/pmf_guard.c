@@ -55,39 +55,27 @@ static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state
     return size <= PMF_ALIKE((scalar_t)config->max_change);
 }
 
-/* Return the least second difference just after the judged count and its neighbour, or 0 if it changes its sign. */
-static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
+/* Return the least second difference just after the judged count and its neighbour, without the part that rounding
+ * explains, or 0 unless all of them have the sign of `sign`. */
+static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t sign)
 {
-    real_t up = signed_bend(config, guard, PMF_PAST + 2U), down = -up;
+    real_t least = sign * signed_bend(config, guard, PMF_PAST + 2U);
     uint32_t place;
     for (place = PMF_PAST + 3U; place <= PMF_PAST + 4U; ++place) {
-        real_t here = signed_bend(config, guard, place);
-        up = PMF_IF(here < up, here, up);
-        down = PMF_IF(-here < down, -here, down);
+        real_t here = sign * signed_bend(config, guard, place);
+        least = PMF_IF(here < least, here, least);
     }
-    up = PMF_IF(up > down, up, down);
-    return PMF_IF(up > PMF_R(0.0), up, PMF_R(0.0));
-}
-
-/* Return the largest second difference of the judged count and its accepted and next neighbours, at least ROUNDING. */
-static real_t roughness_here(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
-{
-    real_t most = PMF_ALIKE(ROUNDING);
-    uint32_t needed;
-    for (needed = 0U; needed <= 2U; ++needed) { /* accepted counts */
-        real_t size = bend(config, guard, PMF_PAST + 1U - needed);
-        most = PMF_IF((guard->past >= needed) & (size > most), size, most);
-    }
-    return most;
+    return beyond_rounding(least);
 }
 
 /* Return whether the judged count continues the counts before it, or the motion around it is as smooth as the motion
- * before and after, or the acceleration around it lasts. Most counts continue a steady motion. Among the first counts,
- * only an acceleration that lasts is proof: a wrong count changes the sign. */
+ * before and after, or the acceleration around it lasts. Most counts continue a steady motion. A wrong count always
+ * shows accelerations of both signs, of which only one can last. */
 static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
-    real_t size = bend(config, guard, PMF_PAST - 1U), past, limit, lasting;
-    truth_t whole = guard->past == PMF_PAST, plain = whole & (size <= ROUNDING);
+    real_t size = bend(config, guard, PMF_PAST - 1U), past, limit, up, down;
+    truth_t whole = guard->past == PMF_PAST, plain = whole & (size <= ROUNDING), within;
+    uint32_t needed;
     if (PMF_ALL(plain)) {
         return plain;
     }
@@ -99,13 +87,22 @@ static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_sta
     past = PMF_IF(whole, past, PMF_ALIKE(ROUNDING));
     limit = roughness(config, guard, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
     limit = beyond_rounding(PMF_IF(past < limit, past, limit));
-    lasting = beyond_rounding(lasting_bend(config, guard));
-    limit = PMF_IF(lasting > limit, lasting, limit);
-    limit = SMOOTH * PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
-    return plain | (beyond_rounding(roughness_here(config, guard)) <= limit);
+    limit = PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
+    up = lasting_bend(config, guard, PMF_R(1.0));
+    down = lasting_bend(config, guard, PMF_R(-1.0));
+    up = SMOOTH * PMF_IF(up > limit, up, limit);
+    down = SMOOTH * PMF_IF(down > limit, down, limit);
+    within = whole | PMF_NOT(whole);
+    for (needed = 0U; needed <= 2U; ++needed) { /* accepted counts */
+        real_t here = signed_bend(config, guard, PMF_PAST + 1U - needed);
+        truth_t absent = guard->past < needed, rises = beyond_rounding(here) <= up;
+        truth_t falls = beyond_rounding(-here) <= down;
+        within = within & (absent | (rises & falls));
+    }
+    return plain | within;
 }
 
-/* Gather the view of a lane. Counts modulo mask + 1 are those next to a steady motion. */
+/* Gather the view of a lane. Counts modulo mask + 1 are those next to a steady motion from the count before. */
 PMF_SELDOM void gather(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t lane,
                        pmf_view_t *view)
 {
@@ -116,7 +113,8 @@ PMF_SELDOM void gather(const pmf_encoder_config_t *config, const pmf_guard_state
         steady = change <= mask >> 1 ? change : change - mask - 1U;
     }
     for (i = 0; i < PMF_PAST + PMF_VIEW; ++i) {
-        uint32_t expected = steady * (i - (PMF_PAST - 1U)); /* modulo 2^32 */
+        uint32_t expected =
+            i > PMF_PAST ? (uint32_t)view->count[i - 1U] + steady : steady * (i - (PMF_PAST - 1U)); /* modulo 2^32 */
         uint32_t apart = ((uint32_t)PMF_LANE(guard->count[i], lane) - base - expected) & mask, size;
         apart = (apart <= mask >> 1 ? apart : apart - mask - 1U) + expected;
         size = apart <= 0x7fffffffU ? apart : ~apart;

@@ -78,8 +78,6 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
         state->weight = PMF_IF(where, f * state->weight + share, state->weight);
         state->innovation_square =
             PMF_IF(where, f * state->innovation_square + share * square, state->innovation_square);
-        estimate->innovation_variance =
-            PMF_IF(where, state->innovation_square / state->weight, estimate->innovation_variance);
     }
 }
 
@@ -174,31 +172,43 @@ PMF_INLINE real_t over_white(real_t error, real_t factor, real_t certainty)
     return PMF_IF(ratio - ratio == PMF_R(0.0), ratio, PMF_R(0.0));
 }
 
-/* Add the largest effect of misread counts to the standard errors. An error e of an equation moves theta by P zeta e.
- * The signs of the errors are unknown, so that the sizes add up. Over the diagonal of P the sums are discounted like
- * information. `kept` is the weight of the past. */
-PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
-                             const real_t *error, const real_t *zeta, real_t kept, uint32_t p, uint32_t instrumental,
-                             projection_t *projection)
+/* Gather the errors of misread counts before the gain. Between two solutions the errors come from the same counts, so
+ * that they keep their signs. `f` is the weight of the past. */
+PMF_INLINE void gather_misread(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                               real_t f, const real_t *error, const real_t *zeta, uint32_t p)
 {
-    real_t move[N], sum = -error[config->n_misread];
+    real_t sum = -error[config->n_misread];
     uint32_t i;
     for (i = 0; i < config->n_misread; ++i) {
         sum += state->estimate.theta[config->misread_index[i]] * error[i];
     }
     for (i = 0; i < p; ++i) {
-        move[i] = zeta[i] * sum;
+        state->strayed[i] = PMF_IF(where, f * state->strayed[i] + zeta[i] * sum, PMF_R(0.0));
+        state->misread[i] *= f;
+    }
+}
+
+/* Add the largest effect of misread counts to the standard errors. An error e of an equation moves theta by P zeta e.
+ * The signs of the errors are unknown, so that the sizes add up. Over the diagonal of P the sums are discounted like
+ * information. */
+PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                             uint32_t p, uint32_t instrumental, projection_t *projection)
+{
+    real_t move[N], certainty = PMF_R(1.0) / state->estimate.innovation_variance;
+    uint32_t i;
+    (void)config;
+    for (i = 0; i < p; ++i) {
+        move[i] = state->strayed[i];
     }
     if (instrumental != 0U) {
         project(p, projection, move);
     }
     solve(state, p, move);
-    sum = PMF_R(1.0) / state->estimate.innovation_variance;
     for (i = 0; i < p; ++i) {
         real_t factor = state->estimate.variance_factor[i];
-        real_t now = kept * state->misread[i] + PMF_SIZE(move[i]) / factor;
+        real_t now = state->misread[i] + PMF_SIZE(move[i]) / factor;
         state->misread[i] = PMF_IF(where & (now - now == PMF_R(0.0)), now, state->misread[i]);
-        state->estimate.inflation[i] += over_white(state->misread[i], factor, sum);
+        state->estimate.inflation[i] += over_white(state->misread[i], factor, certainty);
     }
 }
 
@@ -257,18 +267,11 @@ PMF_INLINE whole_t note_bias(const pmf_recursion_config_t *config, pmf_recursion
 
 /* Accumulate the innovations of a block. */
 PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
-                           const real_t *zeta, uint32_t p)
+                           truth_t young, uint32_t p)
 {
-    uint32_t i, j;
+    uint32_t i;
     for (i = 0; i < p; ++i) {
-        real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
-        if (PMF_PROCESS && config->compensated != 0U) {
-            sum -= config->target_noise[i];
-        }
-        for (j = 0; j < p && config->compensated != 0U; ++j) {
-            sum += config->noise[i][j] * state->estimate.theta[j];
-        }
-        state->score[i] = PMF_IF(where, sum, state->score[i]);
+        state->score[i] = PMF_IF(where, state->score[i] + state->gathered[i], state->score[i]);
     }
-    state->block_updates += PMF_BIT(where, 1U);
+    state->block_updates += PMF_IF(where, PMF_IF(young, PMF_W(1), PMF_W(config->every)), PMF_W(0));
 }

@@ -166,20 +166,22 @@ PMF_API whole_t pmf_instrument_step(const pmf_config_t *config, pmf_state_t *sta
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
     truth_t held = state->hold != 0U; /* the measured velocity does not show the axis */
     truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column, held), in_charge,
-            borrows;
+            borrows, due;
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     whole_t status, stepped = PMF_W(0);
     /* sums with a wrong direction would stay */
     PMF_WHERE(PMF_NOT(trusted) & (state->instrument.updates != 0U), &state->instrument,
               pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument));
     status = PMF_BIT(PMF_NOT(trusted) | (state->instrument.started == 0U), PMF_STARTING);
+    /* half-way between two direct solutions, so that no sample has two */
+    due = (state->samples & (config->instrument.every - 1U)) == config->instrument.every / 2U;
 #if PMF_STEPS
     if (PMF_SPACED(config)) {
         weigh_instruments(&config->instrument, &state->network);
     }
 #endif
     PMF_WHERE(trusted & settled, &state->instrument,
-              stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column));
+              stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column, due));
     status = PMF_IF(trusted & settled, stepped, status);
     note_model(config, state, trusted & settled & (state->instrument.sums.weight > PMF_R(0.0)));
     status |= pmf_auxiliary_feedback(&state->auxiliary, state->network.node, trusted & settled,

@@ -120,7 +120,7 @@ enum pmf_limits {
     PMF_FAST_SAMPLES = 3, /* samples that count as fast after two or more counts in one sample */
     PMF_BLOCK_MEMORY = 100, /* memory of the statistics, in blocks of innovations */
     PMF_LONGEST = 4, /* largest ratio of a step to the sample period, above which the step is a gap */
-    PMF_LOOK = 4, /* updates between two looks at the size of the motion, because no column changes much faster */
+    PMF_LOOK = 4, /* most samples between two solutions, because no column changes much faster */
     PMF_SWING_BITS = 15 /* bits of the looks in this half memory and the last */
 };
 static const scalar_t PMF_LEAST_RATIO = PMF_SCALAR(1e-6); /* least ratio of a step to the sample period */
@@ -226,8 +226,9 @@ PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_aux
 PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
                                   const real_t *theta, const uint32_t *index);
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
+/* Add a sample to the sums, and solve for theta where a solution is due. Returns status bits. */
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                                   const real_t *column);
+                                   const real_t *column, truth_t due);
 /* Write the estimate of the output itself to state->lifted, after a step or another change of the estimate. */
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 /* Run encoder, auxiliary model and network only, for batch methods. The columns are in state->network.column. */

@@ -9,7 +9,7 @@ static real_t feigned(const pmf_recursion_config_t *config, const pmf_recursion_
     return config->compensated != 0U ? state->sums.weight * config->noise[i][j] : PMF_R(0.0);
 }
 
-/* Multiply W, Z and v by the same factor: theta = W^-1 v stays, P grows by 1 / keep. */
+/* Multiply W and Z by the same factor: theta stays, P grows by 1 / keep. */
 static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
 {
     uint32_t i, j;
@@ -18,7 +18,6 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
             state->sums.cross[i][j] *= keep;
             state->sums.square[i][j] *= keep;
         }
-        state->sums.right[i] *= keep;
         state->peak[i] *= keep; /* otherwise the regularisation would take the new information for poor */
     }
     state->sums.weight *= keep;
@@ -80,23 +79,6 @@ static void open_instruments(const pmf_recursion_config_t *config, pmf_recursion
     state->peak[one] *= keep;
 }
 
-/* Compute the right-hand side that keeps theta. */
-static void hold_estimate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
-{
-    uint32_t p = config->n_parameters, i, j;
-    for (i = 0; i < p; ++i) {
-        real_t right = PMF_R(0.0);
-        for (j = 0; j < p; ++j) {
-            real_t own = config->instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j];
-            right += (own - feigned(config, state, i, j)) * state->estimate.theta[j];
-        }
-        if (config->compensated != 0U) {
-            right += state->sums.weight * config->target_noise[i];
-        }
-        state->sums.right[i] = right;
-    }
-}
-
 void pmf_recursion_open(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t parameter,
                         real_t root)
 {
@@ -113,13 +95,14 @@ void pmf_recursion_open(const pmf_recursion_config_t *config, pmf_recursion_stat
         } else {
             open_squares(config, state, parameter, keep);
         }
-        hold_estimate(config, state);
     }
     state->weight *= keep; /* the innovations since the change do not show the noise */
     state->innovation_square *= keep;
     state->blocks = 0U; /* the blocks before the change do not show the colour of the noise */
     state->block_updates = 0U;
     pmf_clear(state->score, (uint32_t)sizeof state->score);
+    pmf_clear(state->gathered, (uint32_t)sizeof state->gathered);
+    pmf_clear(state->rest, (uint32_t)sizeof state->rest);
     for (i = 0; i < config->n_parameters; ++i) {
         state->estimate.inflation[i] = config->correlated;
         if (PMF_WITH_MISREAD) {

@@ -12,6 +12,7 @@
  *
  * Between the bound of a blow and that demand, the reading may be right or wrong. It is then accepted, but unsure. If
  * no path is smooth and the readings turn around from sample to sample, most of them are wrong, and none is believed.
+ * If the best path speeds up and brakes at once, far beyond the motion before it, the reading is unsure as well.
  *
  * No limit is learned from earlier samples. A wrong reading therefore changes nothing beyond its own neighbourhood. */
 #include "pmf_outlier.h"
@@ -177,10 +178,11 @@ PMF_SELDOM void choose_all(const pmf_view_t *view, path_t *best)
 }
 
 /* Return the places, as bits, that a cheaper path may leave out. Such a path avoids all accelerations near the largest
- * one, so that only the places that show them matter. */
+ * one, so that only the places that show them matter. Those that the path leaves out after its end count as well,
+ * because some of them may be right. */
 PMF_SELDOM uint32_t suspects(const pmf_view_t *view, const path_t *path)
 {
-    uint32_t places = 0U, i;
+    uint32_t places = (1U << (PMF_PAST + view->readings)) - (2U << path->place[path->chosen - 1U]), i;
     for (i = 1U; i + 1U < path->chosen; ++i) {
         uint32_t before = path->place[i - 1U], here = path->place[i], after = path->place[i + 1U];
         if (NEAR * acceleration(view, before, here, here, after) > path->most || is_too_fast(view, before, here) != 0 ||
@@ -300,12 +302,13 @@ PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
 PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best, pmf_verdict_t *verdict)
 {
     path_t moved;
-    uint32_t places = 0U, choices = CHOICES, cheaper;
-    scalar_t cost;
+    uint32_t places = 0U, choices = CHOICES, cheaper, between;
+    scalar_t cost, with_shift;
     choose_all(view, best);
     moved = *best;
-    do { /* a large wrong count hides smaller ones */
-        cost = moved.cost;
+    do { /* a large wrong count hides smaller ones, with a shift and without */
+        cost = best->cost;
+        with_shift = moved.cost;
         if (best->most <= FIRST * view->step) { /* no path is cheap enough */
             break;
         }
@@ -315,9 +318,11 @@ PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best
         if (view->past >= 2U) {
             search(view, places, 1U, doubt, &choices, &moved);
         }
-        cheaper = moved.cost < cost ? 1U : 0U;
+        cheaper = best->cost < cost || moved.cost < with_shift ? 1U : 0U;
     } while (cheaper != 0U);
-    verdict->unsure |= choices == 0U ? 1U : 0U;
+    /* a path between many wrong readings proves as little as one that ends the search */
+    between = moved.place[moved.chosen - 1U] + 1U + view->past - (uint32_t)PMF_PAST - moved.chosen;
+    verdict->unsure |= choices == 0U || between > MANY ? 1U : 0U;
     if (moved.moved != 0U && replace(view, &moved, verdict) != 0) {
         *best = moved;
         return;
@@ -342,6 +347,26 @@ PMF_SELDOM int turns_around(const pmf_view_t *view, const path_t *path)
     return change > fastest;
 }
 
+/* Return whether a path speeds up by more than a limit and brakes as much at once, or the reverse. A blow or a start
+ * has one sign alone, and a fast oscillation has the same accelerations before. */
+PMF_SELDOM int shakes(const pmf_view_t *view, const path_t *path, scalar_t limit)
+{
+    scalar_t last = PMF_SCALAR(0.0);
+    uint32_t i;
+    for (i = path->past > 1U ? path->past - 1U : 1U; i + 1U < path->chosen; ++i) {
+        uint32_t before = path->place[i - 1U], here = path->place[i], after = path->place[i + 1U];
+        scalar_t change = signed_acceleration(view, before, here, here, after);
+        if (path->moved != 0U && i <= path->past) { /* a shift shows no speed */
+            change = PMF_SCALAR(0.0);
+        }
+        if ((change > limit && last < -limit) || (change < -limit && last > limit)) {
+            return 1;
+        }
+        last = change;
+    }
+    return 0;
+}
+
 /* The motion continues with its last speed. */
 PMF_SELDOM void continue_motion(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
@@ -350,23 +375,23 @@ PMF_SELDOM void continue_motion(const pmf_view_t *view, pmf_verdict_t *verdict)
     verdict->count = view->count[PMF_PAST - 1U] + rounded(time * speed(view, PMF_PAST - 2U, PMF_PAST - 1U));
 }
 
-/* Return the least acceleration just after the judged reading and its neighbour, or 0 if it changes its sign. */
-PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view)
+/* Return the least acceleration just after the judged reading and its neighbour, at least `limit`, which it is unless
+ * all of them have the sign of `sign`. */
+PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view, scalar_t sign, scalar_t limit)
 {
-    scalar_t up = ENDLESS, down = ENDLESS;
+    scalar_t least = ENDLESS;
     uint32_t i;
     for (i = PMF_PAST + 2U; i <= PMF_PAST + 4U; ++i) {
-        scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
-        up = here < up ? here : up;
-        down = -here < down ? -here : down;
+        scalar_t here = sign * signed_acceleration(view, i - 1U, i, i, i + 1U);
+        least = here < least ? here : least;
     }
-    return larger(larger(up, down), PMF_SCALAR(0.0));
+    return larger(least, limit);
 }
 
 int pmf_is_smooth(const pmf_view_t *view)
 {
-    uint32_t whole = view->past == PMF_PAST ? 1U : 0U, known = view->past < 2U ? view->past : 2U;
-    scalar_t past, ahead, here;
+    uint32_t whole = view->past == PMF_PAST ? 1U : 0U, i = PMF_PAST + 1U - (view->past < 2U ? view->past : 2U);
+    scalar_t past, limit, up, down;
     if (view->readings < PMF_VIEW || is_too_fast(view, PMF_PAST - 1U, PMF_PAST) != 0) {
         return 0;
     }
@@ -374,15 +399,24 @@ int pmf_is_smooth(const pmf_view_t *view)
     if (whole != 0U && acceleration(view, PMF_PAST - 2U, PMF_PAST - 1U, PMF_PAST - 1U, PMF_PAST) <= past) {
         return 1;
     }
-    ahead = roughness(view, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
-    here = roughness(view, PMF_PAST + 1U - known, PMF_PAST + 1U);
-    return here <= FIRST * larger(past < ahead ? past : ahead, lasting_acceleration(view));
+    limit = roughness(view, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
+    limit = past < limit ? past : limit;
+    up = FIRST * lasting_acceleration(view, PMF_SCALAR(1.0), limit);
+    down = FIRST * lasting_acceleration(view, PMF_SCALAR(-1.0), limit);
+    for (; i <= PMF_PAST + 1U; ++i) {
+        scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
+        if (here > up || -here > down) {
+            return 0;
+        }
+    }
+    return 1;
 }
 
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
     pmf_verdict_t other;
     path_t best;
+    uint32_t doubtful;
     verdict->verdict = PMF_READING_FITS;
     verdict->count = view->count[PMF_PAST];
     verdict->first = PMF_PAST;
@@ -393,14 +427,18 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     }
     other = *verdict;
     follow_best(view, 1U, &best, &other);
-    if (other.verdict != PMF_READING_FITS || other.unsure != 0U) { /* a doubt is the least demand */
-        follow_best(view, 0U, &best, verdict);
-        verdict->unsure |= verdict->verdict == PMF_READING_FITS ? 1U : 0U;
+    if (other.verdict != PMF_READING_FITS || best.chosen < view->past + view->readings || other.unsure != 0U) {
+        follow_best(view, 0U, &best, verdict); /* no path is cheaper than all counts if none is with the least demand */
+        doubtful = other.verdict != PMF_READING_FITS || other.unsure != 0U ? 1U : 0U;
+        verdict->unsure |= verdict->verdict == PMF_READING_FITS ? doubtful : 0U;
     }
-    if (view->past >= 3U && best.most > WILD * roughness(view, PMF_PAST - view->past + 1U, PMF_PAST - 2U) &&
-        turns_around(view, &best) != 0) {
-        verdict->unsure = 1U;
-        continue_motion(view, verdict);
+    if (view->past >= 3U) {
+        scalar_t wild = WILD * roughness(view, PMF_PAST - view->past + 1U, PMF_PAST - 2U);
+        verdict->unsure |= shakes(view, &best, wild) != 0 ? 1U : 0U;
+        if (best.most > wild && turns_around(view, &best) != 0) {
+            verdict->unsure = 1U;
+            continue_motion(view, verdict);
+        }
     }
     if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PMF_PAST - 1U, PMF_PAST)) {
         continue_motion(view, verdict); /* no path is slow enough */

@@ -86,7 +86,7 @@ PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_
 {
     return not_negative(state->peak, REALS(state->peak)) & not_negative(&state->power, 1U) &
            not_negative(&state->power_before, 1U) & at_most(state->moved, config->half_memory) &
-           at_most(state->swings, PMF_SWING_BITS) & at_most(state->outdated, 2U * config->half_memory * PMF_LOOK) &
+           at_most(state->swings, PMF_SWING_BITS) & at_most(state->outdated, 2U * config->half_memory * config->every) &
            at_most(state->frozen, 1U);
 }
 
@@ -101,9 +101,11 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
            all_finite(&lift, 1U) & not_negative(state->misread, REALS(state->misread)) &
            not_negative(state->spread, REALS(state->spread)) & all_finite(state->score, REALS(state->score)) &
+           all_finite(state->gathered, REALS(state->gathered)) & all_finite(state->rest, REALS(state->rest)) &
+           all_finite(state->strayed, REALS(state->strayed)) & at_most(state->verdict, PMF_STATUS_BITS) &
            at_most(state->blocks, PMF_BLOCK_MEMORY) &
-           /* a block counts only updates without a status, and may end some updates late */
-           at_most(state->block_updates, state->updates);
+           /* a block counts only solutions without a status, and may end some updates late */
+           at_most(state->block_updates > config->every ? state->block_updates - config->every : 0U, state->updates);
 }
 
 #if PMF_WITH_AUXILIARY

@@ -3,12 +3,16 @@
  *
  * The recursion keeps the sums that define the estimate, discounted by the forgetting factor,
  *     W = sum zeta phi^T,  Z = sum zeta zeta^T,  v = sum zeta z          (least squares: zeta = phi, Z = W)
- * and moves theta by  theta += R^-1 W^T Z^-1 zeta (z - phi^T theta),  R = W^T Z^-1 W + regularisation. Without the
- * regularisation the recursion gives exactly theta = W^-1 v. Sums cannot lose their symmetry, and cannot wind up
- * because W decays without excitation. The regularisation is a small fraction of the largest information so far
+ * with R = W^T Z^-1 W + regularisation. Sums cannot lose their symmetry, and cannot wind up because W decays without
+ * excitation. The regularisation is a small fraction of the largest information so far
  * (Levenberg-Marquardt recursive least squares, Ljung and Soderstrom 1983). The regularisation slows theta in hardly
  * excited directions. If a direction has only the regularisation, theta is held and the status says so. With forgetting
  * = 1 no regularisation is used, and theta equals the batch solution.
+ *
+ * Every sample enters W and Z, and g = v - W theta, which grows by zeta (z - phi^T theta). The factors, theta and all
+ * verdicts are needed less often, and are the largest part of the work. `every` samples have one solution, theta +=
+ * R^-1 W^T Z^-1 g. Between two solutions theta, P and the verdicts stay. Without the regularisation every solution
+ * gives exactly theta = W^-1 v.
  *
  * Every loop has a fixed number of turns, because n_parameters is a constant of the configuration. */
 #include "pmf_internal.h"
@@ -19,6 +23,7 @@
 
 static const scalar_t POOR = PMF_SCALAR(50.0); /* information below POOR times the regularisation is called poor */
 static const scalar_t FREEZE = PMF_SCALAR(1e-3); /* information below FREEZE times the regularisation is kept */
+static const uint32_t FEW = 8U; /* solutions in a memory, below which each sample needs one */
 static const scalar_t LEAST_CLEAN = PMF_SCALAR(0.02); /* part of a column's information that remains without noise */
 
 /* Subtract the apparent information of the known noise. If hardly any information is left, excitation is poor, and a
@@ -81,31 +86,46 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
     return poor;
 }
 
-/* Compute the move of theta before the gain. A young estimate uses the right-hand side, which removes the rounding of
- * the first solution. Later the innovation is used, so that rounding of the sums has no effect. */
-PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, const real_t *zeta,
-                         uint32_t p, uint32_t instrumental, real_t move[N])
+/* Gather the move of theta before the gain. `f` is the weight of the past. */
+PMF_INLINE void gather_move(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t f,
+                            const real_t *zeta, uint32_t p)
 {
-    truth_t young = state->started <= config->residual_updates;
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        move[i] = zeta[i] * state->estimate.innovation;
-        if (PMF_ANY(young)) {
-            real_t left = state->sums.right[i];
-            for (j = 0; j < p; ++j) {
-                left -= (instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j]) *
-                        state->estimate.theta[j];
-            }
-            move[i] = PMF_IF(young, left, move[i]);
-        }
+        real_t sum = zeta[i] * state->estimate.innovation;
         if (config->compensated != 0U) {
-            real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
             if (PMF_PROCESS) {
-                move[i] -= weight * config->target_noise[i];
+                sum -= config->target_noise[i];
             }
             for (j = 0; j < p; ++j) {
-                move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
+                sum += config->noise[i][j] * state->estimate.theta[j];
             }
+        }
+        state->gathered[i] = f * state->gathered[i] + sum;
+        state->rest[i] *= f;
+    }
+}
+
+/* Begin the next sums after a move. A young estimate keeps the rest of v - W theta, so that the next solution removes
+ * the rounding of this one. Later the innovations alone move theta, so that rounding of the sums has no effect. */
+PMF_INLINE void begin_gathering(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t moves,
+                                const real_t *move, uint32_t p, uint32_t instrumental)
+{
+    truth_t young = state->started <= config->residual_updates, moved = young & moves;
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        real_t left = state->gathered[i] + state->rest[i];
+        for (j = 0; j < p && PMF_ANY(moved); ++j) {
+            real_t own = instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j];
+            if (config->compensated != 0U) {
+                own -= state->sums.weight * config->noise[i][j];
+            }
+            left = PMF_IF(moved, left - own * move[j], left);
+        }
+        state->rest[i] = PMF_IF(young, left, PMF_R(0.0));
+        state->gathered[i] = PMF_R(0.0);
+        if (PMF_WITH_MISREAD) {
+            state->strayed[i] = PMF_R(0.0);
         }
     }
 }
@@ -132,24 +152,22 @@ PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
 }
 #endif
 
-PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
-                          uint32_t p, uint32_t instrumental)
+/* Solve for theta, and judge the solution. `looks` says when to compare the sizes of motions, and `young` means that
+ * every sample has a solution. Returns status bits without the verdict on the model. */
+PMF_INLINE whole_t solution(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                            truth_t looks, truth_t young, uint32_t p, uint32_t instrumental)
 {
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
-    whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0), hidden = PMF_W(0);
-    truth_t waits = state->started == 0U, starts, looks, moves, scored, ends;
+    whole_t status, compensated = PMF_W(0), hidden = PMF_W(0);
+    truth_t waits = state->started == 0U, starts = waits, moves, scored, ends;
     uint32_t i, j;
-    real_t before = state->sums.weight;
-    for (i = 0; i < p && misreads(config) != 0; ++i) {
-        state->estimate.inflation[i] = state->spread[i];
-    }
-    state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
-        state->estimate.innovation -= column[i] * state->estimate.theta[i];
+        if (misreads(config) != 0) {
+            state->estimate.inflation[i] = state->spread[i];
+        }
+        move[i] = state->gathered[i] + state->rest[i];
     }
-    accumulate(config, state, column, p, instrumental);
-    residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
     if (instrumental != 0U) {
         project_information(state, p, &projection, information);
         project(p, &projection, move);
@@ -163,7 +181,6 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             compensated = subtract_noise(config, state, p, information);
         }
     }
-    looks = (state->updates & (PMF_LOOK - 1U)) == 0U;
     if (config->half_memory != 0U && PMF_ANY(looks)) {
         compare_sizes(config, state, column[config->leading], looks, p, information[config->leading][config->leading]);
     }
@@ -176,35 +193,32 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             own = smallest_pivot(p, state->sums.square, projection.inverse);
             pivot = PMF_IF(own < pivot, own, pivot);
         }
-        starts = waits;
         waits = waits & ((state->updates < config->min_updates) | PMF_NOT(pivot > config->pivot));
         starts = starts & PMF_NOT(waits);
-        state->estimate.innovation = PMF_IF(waits, PMF_R(0.0), state->estimate.innovation);
         if (PMF_ALL(waits)) {
+            begin_gathering(config, state, PMF_NOT(waits), move, p, instrumental);
             return PMF_W(PMF_STARTING | PMF_POOR_EXCITATION);
         }
         for (i = 0; i < p; ++i) {
             state->estimate.inflation[i] = PMF_IF(starts, PMF_ALIKE(config->correlated), state->estimate.inflation[i]);
         }
+        state->started = PMF_IF(starts, PMF_W(1), state->started);
     }
-    state->started += PMF_BIT(PMF_NOT(waits) & (state->started < SATURATED), 1U);
     /* noise alone must not move theta slowly */
-    moves = PMF_NOT(waits) & ((status == 0U) | (state->started == 1U));
+    moves = PMF_NOT(waits) & ((status == 0U) | starts);
     if (PMF_ANY(moves)) {
         solve(state, p, move);
         for (i = 0; i < p; ++i) {
             state->estimate.theta[i] = PMF_IF(moves, state->estimate.theta[i] + move[i], state->estimate.theta[i]);
         }
     }
-    note_innovation(config, state, PMF_NOT(waits), instrumental != 0U ? &column[p + 1U] : column, p);
-    if (config->unexplained > PMF_SCALAR(0.0)) {
-        unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
-    }
-    scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
+    scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0));
+    state->estimate.innovation_variance =
+        PMF_IF(scored, state->innovation_square / state->weight, state->estimate.innovation_variance);
+    scored = scored & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
-        note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
-        /* the sizes and the model are checked in other samples, so that no sample takes long */
-        ends = scored & ((state->updates & 1U) != 0U) & (state->block_updates >= config->block);
+        note_score(config, state, scored, young, p);
+        ends = scored & (state->block_updates >= config->block);
         if (PMF_ANY(ends)) {
             end_block(config, state, ends, p, instrumental, &projection);
         }
@@ -213,17 +227,44 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         for (i = 0; i < p; ++i) {
             state->spread[i] = state->estimate.inflation[i];
         }
-        note_misread(config, state, PMF_NOT(waits), &column[config->misread_column],
-                     instrumental != 0U ? &column[p + 1U] : column,
-                     PMF_IF(before > PMF_R(0.0), (state->sums.weight - PMF_R(1.0)) / before, PMF_R(0.0)), p,
-                     instrumental, &projection);
+        note_misread(config, state, PMF_NOT(waits), p, instrumental, &projection);
         hidden = note_bias(config, state, p, instrumental);
         hidden |= judge_mass(config, &state->estimate);
     }
     if (instrumental != 0U) {
         status |= PMF_BIT(status != 0U, PMF_COMPENSATION_HELD);
     }
-    return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled | hidden);
+    begin_gathering(config, state, moves, move, p, instrumental);
+    return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | hidden);
+}
+
+PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                          truth_t due, uint32_t p, uint32_t instrumental)
+{
+    const real_t *zeta = instrumental != 0U ? &column[p + 1U] : column;
+    whole_t unmodelled = PMF_W(0);
+    truth_t known = state->started != 0U, young;
+    real_t f;
+    uint32_t i;
+    state->estimate.innovation = column[p];
+    for (i = 0; i < p; ++i) {
+        state->estimate.innovation -= column[i] * state->estimate.theta[i];
+    }
+    f = accumulate(config, state, column, p, instrumental);
+    gather_move(config, state, f, zeta, p);
+    if (misreads(config) != 0) {
+        gather_misread(config, state, known, f, &column[config->misread_column], zeta, p);
+    }
+    state->started += PMF_BIT(known & (state->started < SATURATED), 1U);
+    note_innovation(config, state, known, zeta, p);
+    if (config->unexplained > PMF_SCALAR(0.0)) {
+        unmodelled = check_model(config, state, known & (state->started > SKIPPED_INNOVATIONS), column[p]);
+    }
+    young = state->sums.weight < (scalar_t)(FEW * config->every);
+    PMF_WHERE(due | young, state, state->verdict = solution(config, state, column, due, young, p, instrumental));
+    known = state->started != 0U;
+    state->estimate.innovation = PMF_IF(known, state->estimate.innovation, PMF_R(0.0));
+    return PMF_IF(known, state->verdict | unmodelled, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION));
 }
 
 /* Check the sums as well, because an overflow would show in theta much later, or never. The check adds row by row, so
@@ -233,7 +274,7 @@ PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, 
     real_t sum = state->innovation_square;
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
-        real_t row = state->estimate.theta[i] + state->estimate.variance_factor[i] + state->sums.right[i];
+        real_t row = state->estimate.theta[i] + state->estimate.variance_factor[i] + state->gathered[i];
         for (j = 0; j < (instrumental != 0U ? p : i + 1U); ++j) {
             row += state->sums.cross[i][j];
         }
@@ -247,9 +288,9 @@ PMF_INLINE truth_t finite_state(const pmf_recursion_state_t *state, uint32_t p, 
 
 /* Return the status of the update, or PMF_RESET after an overflow. */
 PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
-                           uint32_t p, uint32_t instrumental)
+                           truth_t due, uint32_t p, uint32_t instrumental)
 {
-    whole_t status = update(config, state, column, p, instrumental);
+    whole_t status = update(config, state, column, due, p, instrumental);
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
@@ -265,19 +306,20 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
 #endif
 #define FIXED(p, instrumental)                                                                                         \
     PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, \
-                                                   const real_t *column)                                               \
+                                                   const real_t *column, truth_t due)                                  \
     {                                                                                                                  \
-        return checked(config, state, column, p##U, instrumental##U);                                                  \
+        return checked(config, state, column, due, p##U, instrumental##U);                                             \
     }
 #define CALL(p, instrumental) \
-    case (p) * 2 + (instrumental): return checked_##p##_##instrumental(config, state, column);
+    case (p) * 2 + (instrumental): return checked_##p##_##instrumental(config, state, column, due);
 SIZES(FIXED)
 
-static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
+static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
+                        truth_t due)
 {
     switch (PARAMETERS(config) * 2U + INSTRUMENTAL(config)) {
         SIZES(CALL)
-    default: return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
+    default: return checked(config, state, column, due, PARAMETERS(config), INSTRUMENTAL(config));
     }
 }
 
@@ -292,7 +334,7 @@ PMF_SELDOM void restart(pmf_recursion_state_t *state, const real_t theta[N], uin
 }
 
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                                   const real_t *column)
+                                   const real_t *column, truth_t due)
 {
     uint32_t p = PARAMETERS(config), i;
     real_t theta[N];
@@ -300,7 +342,7 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
     for (i = 0; i < p; ++i) {
         theta[i] = state->estimate.theta[i];
     }
-    status = dispatch(config, state, &column[config->first_column]);
+    status = dispatch(config, state, &column[config->first_column], due);
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart(state, theta, p));
     return status;
 }

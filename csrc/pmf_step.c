@@ -79,12 +79,13 @@ static whole_t filter_sample(const pmf_config_t *config, pmf_state_t *state, rea
 static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, whole_t filtered)
 {
     whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
-    truth_t settled = (filtered & PMF_SETTLING) == 0U, use = settled;
+    truth_t settled = (filtered & PMF_SETTLING) == 0U, use = settled, due;
     if (PMF_MODELLED(config)) { /* the second half of the settling belongs to the model */
         use = use | ((state->hold == 0U) & (state->settle < config->settle_samples / 2U));
     }
+    due = (state->samples & (config->direct.every - 1U)) == 0U;
     PMF_WHERE(use, &state->direct,
-              stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
+              stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column, due));
     status = PMF_IF(use, stepped, status) | judge_bursts(config, state);
     if (PMF_MODELLED(config)) {
         status = pmf_instrument_step(config, state, status, settled);

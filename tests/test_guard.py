@@ -91,10 +91,10 @@ def test_no_count_of_a_clean_motion_is_called_wrong(axis: str, motion: str) -> N
 
 
 def test_the_recursion_has_the_bits_of_the_repaired_record() -> None:
-    """One rule, off-line and on-line, finds the same counts. The recursion only waits after an unsure count."""
+    """One rule, off-line and on-line, finds the same counts. No count is unsure."""
     rng = np.random.default_rng(4)
     case = case_of("cart", "prbs", 1024)
-    places = wrong_places("clustered", 0.02, rng)
+    places = wrong_places("uniform", 0.02, rng)
     counts = case.counts + 7_000 * (np.arange(case.counts.size) >= 1200)
     counts[places] += wrong_sizes("uniform", 5000, places.size, rng)
     repaired, wrong, _ = find_outliers(counts, np.arange(counts.size, dtype=float), 1.0)
@@ -104,10 +104,9 @@ def test_the_recursion_has_the_bits_of_the_repaired_record() -> None:
     assert plain.delay == 0
     assert case.estimator.delay == DELAY
     assert np.array_equal(guarded.has_status(Status.COUNT_JUMP)[DELAY:], wrong[:-DELAY])
-    waits = np.flatnonzero(guarded.has_status(Status.SETTLING)[100:])[0] + 100
-    assert waits > 500
-    assert wrong[:waits].sum() > 8
-    assert np.array_equal(guarded.theta[DELAY:waits], track.theta[: waits - DELAY])
+    assert not guarded.has_status(Status.SETTLING)[100:].any()
+    assert wrong.sum() > 8
+    assert np.array_equal(guarded.theta[DELAY:], track.theta[:-DELAY])
 
 
 @pytest.mark.parametrize("limit", [1.0, 1.5])

@@ -36,7 +36,7 @@ def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEs
     estimator.run(run.u, run.counts)
     state = np.frombuffer(estimator.kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
     sums = state[0]["direct"]
-    for part in (sums["sums"]["cross"], sums["sums"]["square"], sums["sums"]["right"], sums["peak"]):
+    for part in (sums["sums"]["cross"], sums["sums"]["square"], sums["peak"]):
         part *= REPEATED
     state[0]["direct"]["sums"]["weight"] *= REPEATED
     estimator.kernel.set_raw_state(state.tobytes())

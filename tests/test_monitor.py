@@ -92,14 +92,14 @@ def test_opening_one_parameter_leaves_the_others() -> None:
     """R - (1 - keep) r r^T / R_ii keeps the information on the other parameters."""
     u, counts = normal_work(4, INCREMENTS, 0.01)
     estimator = make_riv(INCREMENTS, TRUTH)
-    estimator.run(u[:-1], counts[:-1])
+    estimator.run(u[:-4], counts[:-4])
     closed = estimator.get_state()
     estimator.open_memory(1.0)  # without the correction of the error bars by the blocks
-    estimator.run(u[-1:], counts[-1:])
+    estimator.run(u[-4:], counts[-4:])
     before = np.linalg.inv(estimator.estimate.theta_cov / estimator.estimate.innovation_variance)
     estimator.set_state(closed)
     estimator.open_memory(0.01, "mass")
-    estimator.run(u[-1:], counts[-1:])
+    estimator.run(u[-4:], counts[-4:])
     after = np.linalg.inv(estimator.estimate.theta_cov / estimator.estimate.innovation_variance)
     assert estimator.estimate.theta == pytest.approx(TRUTH, rel=0.05)
     assert after[0, 0] < 0.05 * before[0, 0]

@@ -346,6 +346,7 @@ class Estimator:
             "n_parameters": parameters,
             "instrumental": int(instrumental),
             "first_column": first_column,
+            "every": 1,
             "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
             "residual_updates": 2**32 - 1 if exact else TUNING.residual_updates,
             "forgetting": longest_forgetting(forgetting, self.precision),

@@ -123,7 +123,7 @@ def frequency_response(estimator: Estimator, network: Network, column: Taps) -> 
     return total
 
 
-#: Samples between two checks of the motion's size by the kernel.
+#: Most samples between two solutions for theta.
 LOOK = constants_of(None)["PMF_LOOK"]
 
 
@@ -133,7 +133,9 @@ class RecursiveEstimator(Estimator):
 
     forgetting: weight of the past per sample, 0 < forgetting <= 1. The memory is dt / (1 - forgetting). The value 1
     forgets nothing in float64. A float32 sum would ignore new samples after some millions of samples. In float32, the
-    gathered information is halved whenever it amounts to 2^19 samples.
+    gathered information is halved whenever it amounts to 2^19 samples. With a finite memory of 32
+    samples or more, theta, its covariance and the status are renewed every fourth sample, from all samples before it.
+    Otherwise they are renewed at every sample.
 
     A small part of the largest information is never forgotten, and theta is held once only this part is left
     (Levenberg-Marquardt, Ljung and Soderstrom 1983). Nothing therefore winds up without excitation.
@@ -196,14 +198,17 @@ class RecursiveEstimator(Estimator):
             config["noise"] = noise_covariance(self)[:-1, :-1].tolist()
         if self.plant.rests:
             config["leading"] = self.equation.leading
+        # even outdated information must last from one solution to the next
+        every = LOOK if 0 < LOOK * TUNING.recursive_haste * (1 - forgetting) <= 1 else 1
+        config["every"] = every
         if forgetting < 1 and self.plant.rests:
-            config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
+            config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / every)
             config["haste"], config["leak"] = (
                 power(forgetting, TUNING.recursive_haste),
                 exp(-TUNING.recursive_haste / 2),
             )
             config["shown"] = compute_encoder_floor(self)
-            config["outgrown"] = TUNING.recursive_outgrown * LOOK
+            config["outgrown"] = TUNING.recursive_outgrown * every
         return config
 
     def start(self, state: bytes | None = None) -> Self:

@@ -36,8 +36,8 @@ class EstimatorTuning:
     base_longest: float = 1e12
     #: Value in place of a smaller cutoff * dt, which is refused, because its results exceed float64.
     least_product: float = 1e-300
-    #: Number of updates from the accumulated right-hand side. Later updates move theta by the innovation alone. float64
-    #: without forgetting never changes over.
+    #: Number of first updates in which a solution corrects the rounding of the last one. Later the innovations alone
+    #: move theta. float64 without forgetting never changes over.
     residual_updates: int = 256
 
     # batch
