@@ -206,7 +206,7 @@ class WatchedAxis(AxisMonitor):
         least = TUNING.axis_pace * abs(float(rest.rate[0]))
         same = abs(rate) > least if least else float(rest.grown[0]) > TUNING.axis_pace * units / 2
         goes_on = slow and cause == rest.cause[0] and same
-        rest.grown[0] = units * reached / 3
+        rest.grown[0] = round(units * reached / 3)  # whole units, because BLAS changes bits
         rest.cause[0], rest.rate[0] = cause, rate if slow else 0.0
         return bool(goes_on)
 
