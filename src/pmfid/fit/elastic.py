@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import product
 
@@ -61,8 +62,9 @@ def elastic_start(
             return plain, ends[-1]
     part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
     shorter = part.rows < plain.rows
-    end = _search_part(part, points, total, prior, trial, followed=not shorter)
-    ends.append(follow(plain, [end.q], prior) if shorter else end)
+    with suppress(NotIdentifiableError) if ends else nullcontext():
+        end = _search_part(part, points, total, prior, trial, followed=not shorter)
+        ends.append(follow(plain, [end.q], prior) if shorter else end)
     return plain, min(ends, key=lambda end: end.cost)
 
 

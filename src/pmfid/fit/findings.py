@@ -100,13 +100,14 @@ def _describe(second: SecondMass, fitted: Fitted, names: tuple[str, ...], sizes:
     missed = miss_sums(fitted, second)
     moved = np.abs(missed) / sizes
     worst = int(np.argmax(moved))
+    total = f"The sum of {names[worst]} over both masses is {fitted.theta[worst] + missed[worst]:.4g}, so that "
+    exact = second.resonance is not None or second.play is not None
     return Finding(
         "two_mass",
         f"{second.describe('rad' if fitted.problem.machine.turn else 'm')} explains the record better",
         second.remedy,
         "doubt" if moved[worst] > tolerance else "note",
-        f"The sum of {names[worst]} over both masses is {fitted.theta[worst] + missed[worst]:.4g}, so that "
-        f"{names[worst]} is {format_part(moved[worst])} off.",
+        f"{total}{names[worst]} is {format_part(moved[worst])} off." if exact else "",
     )
 
 

@@ -11,15 +11,17 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.build import PIECES
 from pmfid.fit.compare import ODDS
 from pmfid.fit.driven import find_shaken_part
 from pmfid.fit.elastic import ROWS, elastic_start, explains_all, play_start, resonance_of
-from pmfid.fit.likelihood import noise_of
+from pmfid.fit.likelihood import Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.release import rounding_of
+from pmfid.fit.search import ROUNDS
 from pmfid.fit.shooting import settle
-from pmfid.fit.solve import Optimum, inverse
+from pmfid.fit.solve import Optimum, inverse, solve
 from pmfid.fit.tuning import TUNING
 from pmfid.types import Floats
 
@@ -29,15 +31,16 @@ SUMS = ((MASS, LOAD_MASS), (VISCOUS, LOAD_VISCOUS), (COULOMB, LOAD_COULOMB))
 
 @dataclass(frozen=True)
 class SecondMass:
-    """Two masses that explain a record better than one: resonance [Hz], sums of the masses and of viscous and Coulomb
-    friction, by the place among the body's parameters, and the log odds.
+    """Two masses that explain a record better than one: sums of the masses and of viscous and Coulomb friction, by the
+    place among the body's parameters, and the log odds.
 
-    Masses with play have the gap `play` and its standard error in place of a resonance.
+    Masses on a spring have a `resonance` [Hz] if they explain every count, because other masses show it only roughly.
+    Masses with play have the gap `play` and its standard error.
     """
 
-    resonance: float
     sums: Mapping[int, float]
     odds: float
+    resonance: float | None = None
     play: tuple[float, float] | None = None
 
     @property
@@ -52,19 +55,20 @@ class SecondMass:
 
     def describe(self, unit: str) -> str:
         """Return the second mass in words. `unit` is that of the travel."""
-        if self.play is None:
-            return f"a second mass on a spring, with a resonance at {self.resonance:.3g} Hz,"
-        return f"a second mass across a gap of {self.play[0]:.3g} ± {self.play[1]:.2g} {unit}"
+        if self.play is not None:
+            return f"a second mass across a gap of {self.play[0]:.3g} ± {self.play[1]:.2g} {unit}"
+        return "a second mass on a spring" + (
+            f", with a resonance at {self.resonance:.3g} Hz," if self.resonance else ""
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedPair:
-    """A fit of two masses that explains every count of a part of a record. `whole` is True if the fit explains every
-    count of the longest stretch."""
+    """A fit of two masses to a part of a record. `explained` is True if the fit explains every count of that part."""
 
     problem: FitProblem
     end: Optimum
-    whole: bool
+    explained: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,55 +78,64 @@ class PairTrial:
     record: FitProblem
 
     @cached_property
-    def pair(self) -> FollowedPair | None:
-        """The two masses, or None if no pair explains every count of the part with the largest accelerations."""
+    def spring(self) -> FollowedPair | None:
+        """The two masses on a spring by the part with the largest accelerations, or None if no motion follows that
+        part."""
         longest, part = _longest_and_shaken(self.record)
-        with np.errstate(all="ignore"):
-            pair = _explain(self.record, part, lambda plain: elastic_start(plain, True, longest))
-            if pair is None:
-                return None
-            problem, end = pair
-            whole = part is longest or explains_all(replace(problem, stretches=(longest,)), end.q)
-        return FollowedPair(problem, end, whole)
+        return _follow(self.record, part, lambda plain: elastic_start(plain, True, longest))
 
-    @property
-    def play(self) -> tuple[FitProblem, Optimum] | None:
-        """The fit of two masses with play to that part, or None if it leaves more than rounding."""
-        with np.errstate(all="ignore"):
-            return _explain(self.record, _longest_and_shaken(self.record)[1], _play)
-
-    @property
+    @cached_property
     def explains(self) -> bool:
-        """Whether two masses explain every count of the longest stretch."""
-        return self.pair is not None and self.pair.whole
+        """Whether two masses on a spring explain every count of the longest stretch."""
+        if self.spring is None or not self.spring.explained:
+            return False
+        longest, part = _longest_and_shaken(self.record)
+        return part is longest or explains_all(replace(self.spring.problem, stretches=(longest,)), self.spring.end.q)
+
+    @property
+    def likeliest(self) -> FollowedPair | None:
+        """The two masses on a spring, or those with play if they alone explain every count of the part.
+
+        Masses with play that leave more may imitate another force.
+        """
+        if self.spring is not None and self.spring.explained:
+            return self.spring
+        play = _follow(self.record, _longest_and_shaken(self.record)[1], _play)
+        return play if play is not None and play.explained else self.spring
 
 
 def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondMass | None:
-    """Return the second mass if two masses explain every count of a part of the record, and one mass with the
-    parameters q (p,) of a `problem` does not.
+    """Return the second mass if two masses are likelier on a part of the record than one mass with the forces of a
+    `problem`, from its parameters q (p,).
 
-    Both models have the same part of the record, free start states, and noise of their own. Two masses that leave more
-    than rounding may only imitate another force.
+    Both models have the same part of the record, free start states, and noise of their own. Where two masses do not
+    explain every count either, both are wrong, and the gain of likelihood is no surer than its scatter over pieces of
+    the record shows (Vuong 1989).
     """
     _, part = _longest_and_shaken(problem)
     one = _fit_one_mass(problem, q, part)
     if one[1].cost < rounding_of(one[0]):
         return None
-    pair = trial.play if trial.pair is None else (trial.pair.problem, trial.pair.end)
+    pair = trial.likeliest
     if pair is None:
         return None
-    two = replace(pair[0], stretches=(part,)), pair[1]
-    odds = _evidence(*two) - _evidence(*one) + ODDS
-    odds -= 0.5 * (TUNING.further + pair[0].machine.plays) * math.log(part.y.size)
-    return _read(*pair, odds) if odds > 0 else None
+    odds = _weigh(pair, part, _likelihoods(*one))
+    return _read(pair, odds) if odds > 0 else None
 
 
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
-    """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
-    count."""
+    """Return the second mass of a record that no motion of one mass follows, if two masses explain every count, or are
+    likelier on a spring than an axis at rest with a disturbance."""
     longest, part = _longest_and_shaken(problem)
-    pair = _explain(problem, part, lambda plain: elastic_start(plain, guide=longest)) or _explain(problem, part, _play)
-    return None if pair is None else _read(*pair, math.inf)
+    spring = _follow(problem, part, lambda plain: elastic_start(plain, guide=longest))
+    for pair in (spring, None if spring is not None and spring.explained else _follow(problem, part, _play)):
+        if pair is not None and pair.explained:
+            return _read(pair, math.inf)
+    if spring is None:
+        return None
+    still = (part.y[0] - part.y) / problem.resolution
+    odds = _weigh(spring, part, _split(part, still, noise_of((part,), [still], 0.0)))
+    return _read(spring, odds) if odds > 0 else None
 
 
 def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
@@ -135,29 +148,31 @@ def _play(problem: FitProblem) -> tuple[FitProblem, Optimum]:
     return play_start(problem, trial=True)
 
 
-def _explain(
+def _follow(
     problem: FitProblem, part: ObservedStretch, start: Callable[[FitProblem], tuple[FitProblem, Optimum]]
-) -> tuple[FitProblem, Optimum] | None:
-    """Return the fit of two masses to a part of the record by a start, or None if it leaves more than rounding."""
+) -> FollowedPair | None:
+    """Return the fit of two masses to a part of the record by a start, or None if no motion follows that part."""
     if part.y.size < TUNING.fewest:
         return None
-    with suppress(NotIdentifiableError):
+    with suppress(NotIdentifiableError), np.errstate(all="ignore"):
         pair, end = start(replace(problem, stretches=(part,), candidates=()))
-        if end.cost < rounding_of(pair):
-            return pair, end
+        return FollowedPair(pair, end, end.cost < rounding_of(pair))
     return None
 
 
-def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
+def _read(followed: FollowedPair, odds: float) -> SecondMass | None:
     """Return the second mass of a fit, or None if the record shows no resonance and no gap."""
+    pair, end = followed.problem, followed.end
     std = np.sqrt(np.diag(inverse(end.normal.A)))
     theta, masses, stiffness = pair.theta(end.q), [ROWS.index(MASS), ROWS.index(LOAD_MASS)], ROWS.index(STIFFNESS)
     sums = {row: float(theta[ROWS.index(row)] + theta[ROWS.index(load)]) for row, load in SUMS}
     if not np.all(std[masses] < TUNING.vague):
         return None
     if pair.machine.plays and std[len(ROWS)] < TUNING.vague * theta[len(ROWS)]:
-        return SecondMass(math.inf, sums, odds, (float(theta[len(ROWS)]), float(std[len(ROWS)])))
-    return SecondMass(resonance_of(theta) / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
+        return SecondMass(sums, odds, play=(float(theta[len(ROWS)]), float(std[len(ROWS)])))
+    if std[stiffness] < TUNING.vague:
+        return SecondMass(sums, odds, resonance_of(theta) / (2 * math.pi) if followed.explained else None)
+    return None
 
 
 def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tuple[FitProblem, Optimum]:
@@ -167,7 +182,26 @@ def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tupl
     return problem, settle(problem, q, problem.first_starts(), prior, 15)
 
 
-def _evidence(problem: FitProblem, end: Optimum) -> float:
-    """Return the log likelihood of the residuals in their most likely noise."""
-    errors = problem.residuals(end.q, end.starts)
-    return noise_of(problem.stretches, errors, 0.0).evidence(errors)[0]
+def _weigh(pair: FollowedPair, part: ObservedStretch, other: Floats) -> float:
+    """Return the log odds of two masses to another model with log likelihoods of pieces (PIECES,)."""
+    gains = _likelihoods(replace(pair.problem, stretches=(part,)), pair.end) - other
+    odds = float(np.sum(gains))
+    if not pair.explained:
+        odds = min(odds, 0.5 * odds * abs(odds) / (PIECES * float(np.var(gains, ddof=1))))
+    return odds + ODDS - 0.5 * (TUNING.further + pair.problem.machine.plays) * math.log(part.y.size)
+
+
+def _likelihoods(problem: FitProblem, end: Optimum) -> Floats:
+    """Return the log likelihoods of pieces (PIECES,) in the most likely noise, at the optimum in that noise."""
+    prior = np.isin(range(end.q.size), problem.places).astype(np.float64)
+    for _ in range(ROUNDS):
+        noise = noise_of(problem.stretches, problem.residuals(end.q, end.starts), 0.0)
+        end = solve(problem, noise, end.q, end.starts, prior, 10)
+    return _split(problem.stretches[0], problem.residuals(end.q, end.starts)[0], noise)
+
+
+def _split(stretch: ObservedStretch, errors: Floats, noise: Gaussian) -> Floats:
+    """Return what each piece of a stretch adds (PIECES,) to the log likelihood of residuals (k,)."""
+    beginnings = [stretch.part(0, stretch.drive.u.size * k // PIECES) for k in range(1, PIECES + 1)]
+    values = [replace(noise, stretches=(one,)).evidence([errors[: one.y.size]])[0] for one in beginnings]
+    return np.diff(values, prepend=0.0)

@@ -108,9 +108,11 @@ def make_row(force: WeighedForce, result: DriveResult) -> TermRow:
 def make_second_row(second: SecondMass, axis: Axis) -> TermRow:
     """Return the row of a second mass, with its resonance or its gap."""
     unit = axis.model.make().equation.motion.travel
-    size = (second.resonance, math.nan, "Hz") if second.play is None else (*second.play, unit)
+    sizes = ((second.resonance, math.nan, "Hz"),) if second.resonance is not None else ()
+    if second.play is not None:
+        sizes = ((*second.play, unit),)
     words = second.describe(unit).removesuffix(",")
-    return TermRow(words, second.remedy, second.change, True, second.odds, (size,), {})
+    return TermRow(words, second.remedy, second.change, True, second.odds, sizes, {})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
