@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import product
 
@@ -44,11 +43,11 @@ def elastic_start(
 ) -> tuple[FitProblem, Optimum]:
     """Return the fit of two masses on a spring, with friction and a load, to the liveliest stretch.
 
-    Where no guess by the measured motion explains it, a scan of resonances takes several times as long. A `trial` has
-    no such scan if there are guesses, and asks only whether rounding explains the rest. The first guesses are those of
-    a `guide`, a longer stretch, if there is one.
+    Where no guess by the measured motion explains it, motions are held near the measured one, and a scan of resonances
+    takes several times as long. A `trial` has neither. The guesses are those of a `guide`, a longer stretch, if there
+    is one.
 
-    Raises NotIdentifiableError if the axis does not move, if the input is zero, or if a trial fails.
+    Raises NotIdentifiableError if the axis does not move, if the input is zero, or if a trial has no guess.
     """
     stretch, force = liveliest(problem)
     total = np.array([*guess_sum(stretch, force), 0.0])
@@ -60,24 +59,24 @@ def elastic_start(
         ends.append(follow(plain, points[-1:], prior))
         if ends[-1].cost < rounding_of(plain):
             return plain, ends[-1]
-    part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
-    shorter = part.rows < plain.rows
-    with suppress(NotIdentifiableError) if ends else nullcontext():
-        end = _search_part(part, points, total, prior, trial, followed=not shorter)
+    if trial and not ends:
+        raise NotIdentifiableError("the measured motion gives no guess of two masses")
+    if not trial:
+        part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
+        shorter = part.rows < plain.rows
+        end = _search_part(part, points, total, prior, followed=not shorter)
         ends.append(follow(plain, [end.q], prior) if shorter else end)
     return plain, min(ends, key=lambda end: end.cost)
 
 
-def _search_part(
-    part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, trial: bool, followed: bool
-) -> Optimum:
+def _search_part(part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, followed: bool) -> Optimum:
     """Return the best fit to a part of the record from starts q (p,), which may be `followed` already, or else from a
-    scan of resonances. A trial has no scan if there are starts."""
+    scan of resonances."""
     ends = [follow(part, points, prior)] if points and not followed else []
     if points and not (ends and ends[0].cost < rounding_of(part)):
-        ends.append(release(part, points, prior, trial))
-    if not ends or (not trial and min(end.cost for end in ends) > rounding_of(part)):
-        ends.append(release(part, list(_scan(part, total)), prior, trial))
+        ends.append(release(part, points, prior))
+    if not ends or min(end.cost for end in ends) > rounding_of(part):
+        ends.append(release(part, list(_scan(part, total)), prior))
     return min(ends, key=lambda end: end.cost)
 
 
@@ -88,7 +87,7 @@ def explains_all(plain: FitProblem, q: Floats) -> bool:
 
 
 def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:
-    """Return the fit of two masses with play to the liveliest stretch. A `trial` is that of `elastic_start`.
+    """Return the fit of two masses with play to the liveliest stretch. A `trial` is that of `release`.
 
     The contact is stiff at first: it swings once in a few steps.
 
