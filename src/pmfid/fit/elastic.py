@@ -38,44 +38,55 @@ from pmfid.types import Floats
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
 
-def elastic_start(
-    problem: FitProblem, trial: bool = False, guide: ObservedStretch | None = None
-) -> tuple[FitProblem, Optimum]:
+def elastic_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
     """Return the fit of two masses on a spring, with friction and a load, to the liveliest stretch.
 
     Where no guess by the measured motion explains it, motions are held near the measured one, and a scan of resonances
-    takes several times as long. A `trial` has neither. The guesses are those of a `guide`, a longer stretch, if there
-    is one.
+    takes several times as long.
 
-    Raises NotIdentifiableError if the axis does not move, if the input is zero, or if a trial has no guess.
+    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    """
+    plain, points, ends = follow_guesses(problem)
+    if ends and ends[-1].cost < rounding_of(plain):
+        return plain, ends[-1]
+    stretch, force = liveliest(problem)
+    part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
+    total, prior = np.array([*guess_sum(stretch, force), 0.0]), prior_of(plain, force)
+    if part.rows == plain.rows:
+        return plain, min([*ends, _search_part(part, points, total, prior, ())], key=lambda end: end.cost)
+    end = _search_part(part, points, total, prior, [follow(part, points, prior)] if points else [])
+    return plain, min([*ends, follow(plain, [end.q], prior)], key=lambda end: end.cost)
+
+
+def follow_guesses(
+    problem: FitProblem, guide: ObservedStretch | None = None
+) -> tuple[FitProblem, list[Floats], list[Optimum]]:
+    """Return two masses on a spring in the liveliest stretch, the guesses q (p,) by the measured motion, and their
+    fits. The last fit explains every count, or all guesses are followed.
+
+    The guesses are those of a `guide`, a longer stretch, if there is one. A measured load gives no guess.
+    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
     """
     stretch, force = liveliest(problem)
-    total = np.array([*guess_sum(stretch, force), 0.0])
-    plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
-    prior = prior_of(plain, force)
+    plain = _plain_pair(problem, stretch, np.array(guess_sum(stretch, force)[:1]), resonances(stretch))
     points, ends = list[Floats](), list[Optimum]()
     for guess in () if plain.machine.load else driven_guesses(guide or stretch, plain.resolution):
         points.append(start_at(plain, guess))
-        ends.append(follow(plain, points[-1:], prior))
+        ends.append(follow(plain, points[-1:], prior_of(plain, force)))
         if ends[-1].cost < rounding_of(plain):
-            return plain, ends[-1]
-    if trial and not ends:
-        raise NotIdentifiableError("the measured motion gives no guess of two masses")
-    if not trial:
-        part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
-        shorter = part.rows < plain.rows
-        end = _search_part(part, points, total, prior, followed=not shorter)
-        ends.append(follow(plain, [end.q], prior) if shorter else end)
-    return plain, min(ends, key=lambda end: end.cost)
+            break
+    return plain, points, ends
 
 
-def _search_part(part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, followed: bool) -> Optimum:
+def _search_part(
+    part: FitProblem, points: Sequence[Floats], total: Floats, prior: Floats, followed: Sequence[Optimum]
+) -> Optimum:
     """Return the best fit to a part of the record from starts q (p,), which may be `followed` already, or else from a
     scan of resonances."""
-    ends = [follow(part, points, prior)] if points and not followed else []
-    if points and not (ends and ends[0].cost < rounding_of(part)):
+    ends, enough = list(followed), rounding_of(part)
+    if points and not (ends and ends[0].cost < enough):
         ends.append(release(part, points, prior))
-    if not ends or min(end.cost for end in ends) > rounding_of(part):
+    if not ends or min(end.cost for end in ends) > enough:
         ends.append(release(part, list(_scan(part, total)), prior))
     return min(ends, key=lambda end: end.cost)
 

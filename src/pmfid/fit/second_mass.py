@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,7 +14,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.build import PIECES
 from pmfid.fit.compare import ODDS
 from pmfid.fit.driven import find_shaken_part
-from pmfid.fit.elastic import ROWS, elastic_start, explains_all, play_start, resonance_of
+from pmfid.fit.elastic import ROWS, explains_all, follow_guesses, play_start, resonance_of
 from pmfid.fit.likelihood import Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
@@ -79,10 +79,14 @@ class PairTrial:
 
     @cached_property
     def spring(self) -> FollowedPair | None:
-        """The two masses on a spring by the part with the largest accelerations, or None if no motion follows that
-        part."""
+        """The two masses on a spring by the part with the largest accelerations, or None if nothing suggests them."""
         longest, part = _longest_and_shaken(self.record)
-        return _follow(self.record, part, lambda plain: elastic_start(plain, True, longest))
+        if part.y.size < TUNING.fewest:
+            return None
+        with suppress(NotIdentifiableError), np.errstate(all="ignore"):
+            pair, _, ends = follow_guesses(replace(self.record, stretches=(part,)), longest)
+            return _judge(pair, min(ends, key=lambda end: end.cost)) if ends else None
+        return None
 
     @cached_property
     def explains(self) -> bool:
@@ -100,8 +104,11 @@ class PairTrial:
         """
         if self.spring is not None and self.spring.explained:
             return self.spring
-        play = _follow(self.record, _longest_and_shaken(self.record)[1], _play)
-        return play if play is not None and play.explained else self.spring
+        part = _longest_and_shaken(self.record)[1]
+        with suppress(NotIdentifiableError), np.errstate(all="ignore"):
+            play = _judge(*play_start(replace(self.record, stretches=(part,)), trial=True))
+            return play if play.explained else self.spring
+        return self.spring
 
 
 def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondMass | None:
@@ -125,17 +132,13 @@ def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondM
 
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if two masses explain every count, or are
-    likelier on a spring than an axis at rest with a disturbance."""
-    longest, part = _longest_and_shaken(problem)
-    spring = _follow(problem, part, lambda plain: elastic_start(plain, guide=longest))
-    for pair in (spring, None if spring is not None and spring.explained else _follow(problem, part, _play)):
-        if pair is not None and pair.explained:
-            return _read(pair, math.inf)
-    if spring is None:
+    likelier than an axis at rest with a disturbance."""
+    pair, part = PairTrial(problem).likeliest, _longest_and_shaken(problem)[1]
+    if pair is None:
         return None
     still = (part.y[0] - part.y) / problem.resolution
-    odds = _weigh(spring, part, _split(part, still, noise_of((part,), [still], 0.0)))
-    return _read(spring, odds) if odds > 0 else None
+    odds = _weigh(pair, part, _split(part, still, noise_of((part,), [still], 0.0)))
+    return _read(pair, odds) if odds > 0 else None
 
 
 def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
@@ -144,20 +147,8 @@ def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedS
     return stretch, find_shaken_part(stretch, problem.resolution)
 
 
-def _play(problem: FitProblem) -> tuple[FitProblem, Optimum]:
-    return play_start(problem, trial=True)
-
-
-def _follow(
-    problem: FitProblem, part: ObservedStretch, start: Callable[[FitProblem], tuple[FitProblem, Optimum]]
-) -> FollowedPair | None:
-    """Return the fit of two masses to a part of the record by a start, or None if no motion follows that part."""
-    if part.y.size < TUNING.fewest:
-        return None
-    with suppress(NotIdentifiableError), np.errstate(all="ignore"):
-        pair, end = start(replace(problem, stretches=(part,), candidates=()))
-        return FollowedPair(pair, end, end.cost < rounding_of(pair))
-    return None
+def _judge(pair: FitProblem, end: Optimum) -> FollowedPair:
+    return FollowedPair(pair, end, end.cost < rounding_of(pair))
 
 
 def _read(followed: FollowedPair, odds: float) -> SecondMass | None:
