@@ -51,7 +51,7 @@ def elastic_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
         return plain, ends[-1]
     stretch, force = liveliest(problem)
     part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
-    total, prior = np.array([*guess_sum(stretch, force), 0.0]), prior_of(plain, force)
+    total, prior = np.array([*guess_sum(stretch, force), 0.0]), prior_of(plain)
     if part.rows == plain.rows:
         return plain, min([*ends, _search_part(part, points, total, prior, ())], key=lambda end: end.cost)
     end = _search_part(part, points, total, prior, [follow(part, points, prior)] if points else [])
@@ -72,7 +72,7 @@ def follow_guesses(
     points, ends = list[Floats](), list[Optimum]()
     for guess in () if plain.machine.load else driven_guesses(guide or stretch, plain.resolution):
         points.append(start_at(plain, guess))
-        ends.append(follow(plain, points[-1:], prior_of(plain, force)))
+        ends.append(follow(plain, points[-1:], prior_of(plain)))
         if ends[-1].cost < rounding_of(plain):
             break
     return plain, points, ends
@@ -91,12 +91,6 @@ def _search_part(
     return min(ends, key=lambda end: end.cost)
 
 
-def explains_all(plain: FitProblem, q: Floats) -> bool:
-    """Return whether two masses near parameters q (p,) explain every count of a record."""
-    force = float(np.sqrt(np.mean(plain.stretches[0].drive.u ** 2)))
-    return follow(plain, [q], prior_of(plain, force)).cost < rounding_of(plain)
-
-
 def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:
     """Return the fit of two masses with play to the liveliest stretch. A `trial` is that of `release`.
 
@@ -111,7 +105,7 @@ def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Op
     low, high = PLAY_TUNING.rates
     plain = _plain_pair(problem, stretch, totals[:, 0], (low / step, high / step), plays=True)
     points = [q for total in totals for q in _scan_gaps(plain, total, step)]
-    prior = prior_of(plain, force)
+    prior = prior_of(plain)
     part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
     end = release(part, points, prior, trial)
     return plain, follow(plain, [end.q], prior) if part.rows < plain.rows else end
@@ -167,8 +161,9 @@ def liveliest(problem: FitProblem) -> tuple[ObservedStretch, float]:
     return stretch, force
 
 
-def prior_of(plain: FitProblem, force: float) -> Floats:
-    """Return the prior precisions (p,), with a load of about half the force."""
+def prior_of(plain: FitProblem) -> Floats:
+    """Return the prior precisions (p,), with a load of about half the root mean square force."""
+    force = np.sqrt(np.mean(plain.stretches[0].drive.u ** 2))
     return np.asarray(np.eye(plain.size)[ROWS.index(OFFSET)] / (0.5 * force) ** 2)
 
 

@@ -17,7 +17,7 @@ from pmfid.fit.driven import distinct
 from pmfid.fit.machine import LOAD_VISCOUS, VISCOUS, BodyForce
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.shooting import rejoin
-from pmfid.fit.solve import Optimum, random_step, solve
+from pmfid.fit.solve import Optimum, solve
 from pmfid.fit.starts import soften
 from pmfid.fit.tuning import RELEASE_TUNING, TUNING
 from pmfid.types import Floats
@@ -29,9 +29,9 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
     A `trial` asks only whether rounding explains the rest. It takes less time.
     Raises NotIdentifiableError in a trial if even held motions leave twice the cost of rounding.
     """
-    rng, enough, starts = np.random.default_rng(1), rounding_of(plain), plain.first_starts()
+    enough, starts = rounding_of(plain), plain.first_starts()
     first = [(hold(plain, q, RELEASE_TUNING.rates[0]), q) for q in points]
-    first.sort(key=lambda pair: sum_squares(pair[0], pair[1], starts))
+    first.sort(key=lambda pair: sum(float(e @ e) for e in pair[0].residuals(pair[1], starts)))
     ends = [
         _descend(held, q, starts, prior, RELEASE_TUNING.first)
         for held, q in first[: RELEASE_TUNING.held if trial else None]
@@ -42,25 +42,22 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
             raise NotIdentifiableError("two masses do not follow")
         tried = []
         for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
-            held = hold(plain, end.q, rate)
-            near = _descend(held, end.q, end.starts, prior)
-            tried.append(near if trial else _search(held, near, prior, rng))
+            tried.append(_descend(hold(plain, end.q, rate), end.q, end.starts, prior))
             if tried[-1].cost < enough:
-                free = _let_go(plain, tried[-1].q, tried[-1].starts, prior, rng)
+                free = _descend(plain, tried[-1].q, tried[-1].starts, prior)
                 if free.cost < enough:
                     return free
         ends = sorted(tried, key=lambda end: end.cost)
-    ends = [_let_go(plain, end.q, end.starts, prior, rng) for end in ends]
+    ends = [_descend(plain, end.q, end.starts, prior) for end in ends]
     return _mend(plain, min(ends, key=lambda end: end.cost), prior)
 
 
 def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats) -> Optimum:
     """Return the best fit from good starts q (p,), whose motion is free or held by a weak spring, and then free."""
-    rng = np.random.default_rng(1)
     ends, weak = list[Optimum](), (0.0, RELEASE_TUNING.rates[3], RELEASE_TUNING.rates[1])
     for rate, q in product(weak, points):
         end = _descend(hold(plain, q, rate) if rate else plain, q, plain.first_starts(), prior)
-        ends.append(_let_go(plain, end.q, end.starts, prior, rng) if rate else _search(plain, end, prior, rng))
+        ends.append(_descend(plain, end.q, end.starts, prior) if rate else end)
         if ends[-1].cost < rounding_of(plain):
             return ends[-1]
     return _mend(plain, min(ends, key=lambda end: end.cost), prior)
@@ -69,11 +66,6 @@ def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats) -> Optimu
 def rounding_of(problem: FitProblem) -> float:
     """Return the largest softened cost that rounding alone leaves."""
     return soften(problem.stretches).rounded_cost
-
-
-def sum_squares(problem: FitProblem, q: Floats, starts: Floats) -> float:
-    """Return the sum of the squares of the residuals [counts^2]."""
-    return sum(float(e @ e) for e in problem.residuals(q, starts))
 
 
 def _mend(plain: FitProblem, best: Optimum, prior: Floats) -> Optimum:
@@ -118,26 +110,6 @@ def _descend(
     problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int = RELEASE_TUNING.steps
 ) -> Optimum:
     return solve(problem, soften(problem.stretches), q, starts, prior, steps, 0.1)
-
-
-def _let_go(plain: FitProblem, q: Floats, starts: Floats, prior: Floats, rng: np.random.Generator) -> Optimum:
-    return _search(plain, _descend(plain, q, starts, prior), prior, rng)
-
-
-def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
-    """Return a better optimum near an optimum. A contact more or less parts them, so that no slope leads there."""
-    for _ in range(RELEASE_TUNING.rounds):
-        if not 1 < end.cost / rounding_of(problem) < 2:
-            break
-        A = end.normal.A + np.diag(prior)
-        sizes = 10 ** -rng.random(RELEASE_TUNING.tries)
-        near = [problem.clip_to_bounds(end.q + size * random_step(A, rng)) for size in sizes]
-        costs = [sum_squares(problem, q, end.starts) for q in near]
-        best = _descend(problem, near[int(np.argmin(costs))], end.starts, prior)
-        if not best.cost < end.cost:
-            break
-        end = best
-    return end
 
 
 def _distinct(plain: FitProblem, ends: Sequence[Optimum]) -> list[Optimum]:

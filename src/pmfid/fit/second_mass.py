@@ -14,11 +14,11 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.build import PIECES
 from pmfid.fit.compare import ODDS
 from pmfid.fit.driven import find_shaken_part
-from pmfid.fit.elastic import ROWS, explains_all, follow_guesses, play_start, resonance_of
+from pmfid.fit.elastic import ROWS, follow_guesses, play_start, prior_of, resonance_of
 from pmfid.fit.likelihood import Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.release import rounding_of
+from pmfid.fit.release import follow, rounding_of
 from pmfid.fit.search import ROUNDS
 from pmfid.fit.shooting import settle
 from pmfid.fit.solve import Optimum, inverse, solve
@@ -57,18 +57,21 @@ class SecondMass:
         """Return the second mass in words. `unit` is that of the travel."""
         if self.play is not None:
             return f"a second mass across a gap of {self.play[0]:.3g} ± {self.play[1]:.2g} {unit}"
-        return "a second mass on a spring" + (
-            f", with a resonance at {self.resonance:.3g} Hz," if self.resonance else ""
-        )
+        shown = f", with a resonance at {self.resonance:.3g} Hz," if self.resonance else ""
+        return f"a second mass on a spring{shown}"
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedPair:
-    """A fit of two masses to a part of a record. `explained` is True if the fit explains every count of that part."""
+    """A fit of two masses to a part of a record."""
 
     problem: FitProblem
     end: Optimum
-    explained: bool
+
+    @property
+    def explained(self) -> bool:
+        """Whether the fit explains every count of that part."""
+        return self.end.cost < rounding_of(self.problem)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +88,7 @@ class PairTrial:
             return None
         with suppress(NotIdentifiableError), np.errstate(all="ignore"):
             pair, _, ends = follow_guesses(replace(self.record, stretches=(part,)), longest)
-            return _judge(pair, min(ends, key=lambda end: end.cost)) if ends else None
+            return FollowedPair(pair, min(ends, key=lambda end: end.cost)) if ends else None
         return None
 
     @cached_property
@@ -94,7 +97,8 @@ class PairTrial:
         if self.spring is None or not self.spring.explained:
             return False
         longest, part = _longest_and_shaken(self.record)
-        return part is longest or explains_all(replace(self.spring.problem, stretches=(longest,)), self.spring.end.q)
+        whole = replace(self.spring.problem, stretches=(longest,))
+        return part is longest or follow(whole, [self.spring.end.q], prior_of(whole)).cost < rounding_of(whole)
 
     @property
     def likeliest(self) -> FollowedPair | None:
@@ -106,7 +110,7 @@ class PairTrial:
             return self.spring
         part = _longest_and_shaken(self.record)[1]
         with suppress(NotIdentifiableError), np.errstate(all="ignore"):
-            play = _judge(*play_start(replace(self.record, stretches=(part,)), trial=True))
+            play = FollowedPair(*play_start(replace(self.record, stretches=(part,)), trial=True))
             return play if play.explained else self.spring
         return self.spring
 
@@ -124,10 +128,7 @@ def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondM
     if one[1].cost < rounding_of(one[0]):
         return None
     pair = trial.likeliest
-    if pair is None:
-        return None
-    odds = _weigh(pair, part, _likelihoods(*one))
-    return _read(pair, odds) if odds > 0 else None
+    return None if pair is None else _read(pair, _weigh(pair, part, _likelihoods(*one)))
 
 
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
@@ -137,8 +138,7 @@ def find_second_mass(problem: FitProblem) -> SecondMass | None:
     if pair is None:
         return None
     still = (part.y[0] - part.y) / problem.resolution
-    odds = _weigh(pair, part, _split(part, still, noise_of((part,), [still], 0.0)))
-    return _read(pair, odds) if odds > 0 else None
+    return _read(pair, _weigh(pair, part, _split(part, still, noise_of((part,), [still], 0.0))))
 
 
 def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
@@ -147,17 +147,13 @@ def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedS
     return stretch, find_shaken_part(stretch, problem.resolution)
 
 
-def _judge(pair: FitProblem, end: Optimum) -> FollowedPair:
-    return FollowedPair(pair, end, end.cost < rounding_of(pair))
-
-
 def _read(followed: FollowedPair, odds: float) -> SecondMass | None:
-    """Return the second mass of a fit, or None if the record shows no resonance and no gap."""
+    """Return the second mass of a fit, or None if it has no odds, or if the record shows no resonance and no gap."""
     pair, end = followed.problem, followed.end
     std = np.sqrt(np.diag(inverse(end.normal.A)))
     theta, masses, stiffness = pair.theta(end.q), [ROWS.index(MASS), ROWS.index(LOAD_MASS)], ROWS.index(STIFFNESS)
     sums = {row: float(theta[ROWS.index(row)] + theta[ROWS.index(load)]) for row, load in SUMS}
-    if not np.all(std[masses] < TUNING.vague):
+    if not (odds > 0 and np.all(std[masses] < TUNING.vague)):
         return None
     if pair.machine.plays and std[len(ROWS)] < TUNING.vague * theta[len(ROWS)]:
         return SecondMass(sums, odds, play=(float(theta[len(ROWS)]), float(std[len(ROWS)])))

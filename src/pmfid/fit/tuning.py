@@ -82,9 +82,6 @@ class ReleaseTuning:
     first: int = 5
     steps: int = 15
     apart: float = 0.15
-    #: Search near an optimum: rounds, and random parameters.
-    rounds: int = 2
-    tries: int = 20
 
 
 @dataclass(frozen=True)
