@@ -2,23 +2,15 @@
  * saved state. Usage: moved SAMPLES STATE THETA SAVED, where STATE "-" means no state. */
 #include EXPORT_HEADER
 
+#include "input.h"
+
 #include <stdio.h>
 
 #ifdef PMF_WITH_EDGES
 #define PARAMETERS PMF_BODY
-#define AGE , input.age
 #else
 #define PARAMETERS pmf_parameters(&EXPORT_CONFIG)
-#define AGE
 #endif
-
-typedef struct {
-#ifdef PMF_WITH_EDGES
-    real_t age;
-#endif
-    real_t u;
-    uint32_t count;
-} input_t;
 
 static pmf_state_t axis;
 static pmf_saved_t saved;

@@ -3,20 +3,11 @@
  * samples were lost. */
 #include EXPORT_HEADER
 
+#include "input.h"
+
 #include <stdio.h>
 
 #define BLOCK 512
-
-typedef struct {
-#if PMF_WITH_STEPS
-    real_t step;
-#endif
-#ifdef PMF_WITH_EDGES
-    real_t age;
-#endif
-    real_t u;
-    uint32_t count;
-} input_t;
 
 #ifdef PMF_WITH_EDGES
 typedef struct {
