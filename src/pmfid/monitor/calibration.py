@@ -139,6 +139,19 @@ class Calibration:
         the units.
     warmth
         How friction follows a temperature; None without a temperature.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import RIV, Drive, Encoder
+    >>> from pmfid.monitor import calibrate
+    >>> from pmfid.simulation import CART, make_scenario
+    >>> work = make_scenario("moves", seed=1, duration=200.0)
+    >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
+    >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts)
+    >>> float(round(calibration.chance.threshold(24.0), 1))  # for a false alarm in 24 hours
+    9.6
     """
 
     theta: Floats
