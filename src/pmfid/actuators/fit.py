@@ -196,9 +196,8 @@ def fit_servo(
     --------
     See `ServoFit`.
     """
-    more = {name: values for name, values in (("force", force), ("on", on)) if values is not None}
-    columns = {"t": t, "goal": goal, "position": position, **more}
-    arrays = {name: np.ascontiguousarray(values, dtype=float) for name, values in columns.items()}
+    columns = {"t": t, "goal": goal, "position": position, "force": force, "on": on}
+    arrays = {name: np.ascontiguousarray(one, dtype=float) for name, one in columns.items() if one is not None}
     return fit_logs(servo, [JointLog("joint", resolution=servo.resolution, **arrays)], search=search)  # type: ignore[arg-type]
 
 
@@ -264,8 +263,7 @@ def _check(servo: Servo, log: JointLog) -> None:
 
 def _conclude(search: ServoSearch, fitted: Fitted, lags: Sequence[LagFit]) -> ServoFit:
     names, theta, std = read_parameters(search, fitted, lags)
-    residual = np.concatenate(fitted.residuals) * search.plain.resolution
-    rms = float(np.sqrt(np.mean(residual**2)))
+    rms = search.plain.resolution * float(np.sqrt(np.mean(np.concatenate(fitted.residuals) ** 2)))
     servo = search.task.servo
     added = tuple(dict.fromkeys(name for name in names if name.partition(".")[0] not in servo.unknown))
     limited = limited_part(fitted.problem, fitted.solution.q, fitted.solution.starts)
@@ -343,13 +341,9 @@ def _find_stamps(fit: ServoFit, error: float) -> Iterator[Finding]:
     if error > 0:
         sentence = f"the readings differ from their stamps by {1e3 * error:.1f} ms (rms)"
         yield Finding("stamps", sentence, STAMP, "note")
-    names = [name.partition(".")[0] for name in fit.raw_names]
-    early = [
-        -value
-        for name, value, std in zip(names, fit.theta.tolist(), fit.theta_std.tolist(), strict=True)
-        if name == "delay" and value < -TUNING.normal * std
-    ]
-    if early:
+    delays = [name.partition(".")[0] == "delay" for name in fit.raw_names]
+    early = -fit.theta[delays & (fit.theta < -TUNING.normal * fit.theta_std)]
+    if early.size:
         sentence = f"the goals act {1e3 * max(early):.1f} ms before their stamps"
         yield Finding("early_goals", sentence, "stamp a goal when it is sent", "note")
 

@@ -54,8 +54,7 @@ def profile_lags(search: ServoSearch) -> list[LagFit]:
     for _ in range(TUNING.halvings if fits else 0):
         even = [fit.value for fit in _weigh(fits)]
         best = int(np.argmax(even))
-        sides = [k for k in (best - 1, best + 1) if 0 <= k < len(fits)]
-        wide = [k for k in sides if even[best] - even[k] > TUNING.lag_drop]
+        wide = [k for k in (best - 1, best + 1) if 0 <= k < len(fits) and even[best] - even[k] > TUNING.lag_drop]
         more = [_fit_at(fits[best].search, 0.5 * (fits[k].lag + fits[best].lag), 2) for k in wide]
         fits = _sort([*fits, *more])
     return _weigh(fits)
@@ -65,8 +64,7 @@ def _fit_lags(search: ServoSearch, lags: Sequence[float], motions: int) -> list[
     """Return the fits at some lags in rising order, each from the nearest one."""
     fits = [_fit_at(search, search.lag, motions)]
     for lag in sorted({*lags} - {search.lag}, key=lambda lag: abs(lag - search.lag)):
-        nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
-        fits.append(_fit_at(nearest.search, lag, motions))
+        fits.append(_fit_at(min(fits, key=lambda fit: abs(fit.lag - lag)).search, lag, motions))
     return _sort(fits)
 
 
@@ -75,14 +73,23 @@ def _sort(fits: Sequence[LagFit]) -> list[LagFit]:
     return sorted((fit for fit in fits if math.isfinite(fit.value + fit.scatter)), key=lambda fit: fit.lag)
 
 
-def _fit_at(search: ServoSearch, lag: float, motions: int) -> LagFit:
-    """Return the fit at a lag, with the mean evidence of one or two motions in ticks."""
-    at, values = copy(search), list[float]()
+def _move_to(search: ServoSearch, lag: float) -> ServoSearch:
+    """Return the search at a lag from its last fit there or, before the first one, the better of two. The second begins
+    with half of the viscous friction in the loop: below the limit of the torque only ticks tell it from the joint's."""
+    starts, tried = [at := copy(search), other := copy(search)], search.tried.get(lag)
     at.set_lag(lag)
-    tried = search.tried.get(lag)
+    other.set_lag(lag, half=True)
     if tried and (tried.chosen, tried.q.size, tried.plain.rows) == (at.chosen, at.q.size, at.plain.rows):
         at.q, at.starts = tried.q, tried.starts
-    at.solve(at.noise, 15)
+        starts = [at]
+    for one in starts:
+        one.apply_ticks()
+    return min(starts, key=lambda one: one.solve(one.noise, 15).cost)
+
+
+def _fit_at(search: ServoSearch, lag: float, motions: int) -> LagFit:
+    """Return the fit at a lag, with the mean evidence of one or two motions in ticks."""
+    at, values = _move_to(search, lag), list[float]()
     for _ in range(motions):
         at.apply_ticks()
         optimum, lowest = at.solve(at.noise, 5), at.problem.clip_to_bounds(np.full(at.q.size, -np.inf))

@@ -72,8 +72,7 @@ class ServoTask:
         back-EMF if the torque of a log is off in between."""
         switched = any(log.on is not None for log in self.logs)
         more = ["loop_delay", *(["back_emf"] if switched else []), *(["torque_limit"] if self.limited else [])]
-        terms = [*self.servo.terms, *(name for name in more if not self.servo.has(name))]
-        return replace(self.servo, terms=terms)
+        return replace(self.servo, terms=[*self.servo.terms, *(name for name in more if not self.servo.has(name))])
 
     @property
     def priors(self) -> dict[str, tuple[float, float]]:
@@ -185,17 +184,20 @@ class ServoSearch(FitSearch):
         self.q, self.starts, self.noise = q, starts, Gaussian(problem.stretches)
         self.stamps = 0.0  # standard deviation of their error [s]
 
-    def set_lag(self, lag: float) -> None:
-        """Give the velocity in the loop a lag [s], and let the motion stay nearly the same: slow motion shows the
-        inertia without the friction of the loop times its lag."""
+    def set_lag(self, lag: float, half: bool = False) -> None:
+        """Give the velocity in the loop a lag [s], and the loop `half` of the viscous friction, and let the motion stay
+        nearly the same: slow motion shows the inertia without the friction of the loop times its lag."""
         i, before, self.lag = self.kept[0], self.lag, lag
         row, place = self.table[i], self.problem.places[self.chosen.index(i)]
         self.table = [*self.table[:i], replace(row, force=BodyForce("loop_filtered", lag)), *self.table[i + 1 :]]
         self.problem = self._chosen_problem()
-        names, self.q = self.plain.machine.names, self.q.copy()
+        names, self.q, gain = self.plain.machine.names, self.q.copy(), self.q[place] * row.sd
+        if half and "viscous" in names:
+            self.q[names.index("viscous")] = share = 0.5 * (self.q[names.index("viscous")] + gain)
+            self.q[place] = share / row.sd
         if "inertia" in names:
             inertia = names.index("inertia")
-            change = self.q[place] * row.sd * (lag - before) / math.exp(max(self.q[inertia], -300.0))
+            change = (self.q[place] * row.sd * lag - gain * before) / math.exp(max(self.q[inertia], -300.0))
             self.q[inertia] += math.log1p(float(np.clip(change, -0.5, 1.0)))
 
     @property

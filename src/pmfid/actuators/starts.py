@@ -153,13 +153,10 @@ def _descend(head: FitProblem, q: Floats, starts: Floats, steps: int, small: flo
     return solve(head, Gaussian(head.stretches, scale=9.0), q, starts, head.machine.precision, steps, small)
 
 
-def _costs(head: FitProblem, drawn: Sequence[Floats]) -> Floats:
-    """Return the squares (n,) that n servos leave."""
-    starts, squares = head.first_starts(), np.zeros(len(drawn))
-    for i, q in enumerate(drawn):
-        apart = np.concatenate([y - one.y for (y, _), one in zip(head.motion(q, starts), head.stretches, strict=True)])
-        squares[i] = np.sum(np.square(np.nan_to_num(np.clip(apart, -1e6, 1e6), nan=1e6)))
-    return squares
+def _costs(head: FitProblem, drawn: Sequence[Floats]) -> list[float]:
+    """Return the squares (n,) that n servos leave [counts^2]."""
+    starts = head.first_starts()
+    return [sum(float(e @ e) for e in head.residuals(q, starts)) for q in drawn]
 
 
 def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
