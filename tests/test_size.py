@@ -14,7 +14,7 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 64142,
-    "lines of code in src": 37438,
+    "lines of code in src": 37434,
     "lines of code in report and cli": 2919,
     "thresholds in src": 953,
     "lines of csrc": 8746,
