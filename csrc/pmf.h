@@ -245,7 +245,7 @@ typedef struct {
     uint32_t first_column; /* first column of regressors, target and instruments */
     uint32_t every; /* samples between two solutions, once the sums hold many samples; a power of two */
     uint32_t min_updates; /* updates before the first estimate */
-    uint32_t residual_updates; /* number of first updates after which a solution leaves no rest to the next one */
+    uint32_t residual_updates; /* number of first updates; their solutions correct each other's rounding */
     scalar_t forgetting;
     scalar_t regularization; /* information that is never forgotten, as a fraction of the largest so far */
     scalar_t pivot; /* smallest relative pivot for a first estimate */

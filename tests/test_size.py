@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64142,
+    "lines of src": 64141,
     "lines of code in src": 37434,
     "lines of code in report and cli": 2919,
     "thresholds in src": 953,

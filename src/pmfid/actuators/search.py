@@ -185,8 +185,8 @@ class ServoSearch(FitSearch):
         self.stamps = 0.0  # standard deviation of their error [s]
 
     def set_lag(self, lag: float, half: bool = False) -> None:
-        """Give the velocity in the loop a lag [s], and the loop `half` of the viscous friction, and let the motion stay
-        nearly the same: slow motion shows the inertia without the friction of the loop times its lag."""
+        """Give the velocity in the loop a lag [s], and let the motion stay nearly the same: slow motion shows the
+        inertia without the friction of the loop times its lag. `half` of the viscous friction may move to the loop."""
         i, before, self.lag = self.kept[0], self.lag, lag
         row, place = self.table[i], self.problem.places[self.chosen.index(i)]
         self.table = [*self.table[:i], replace(row, force=BodyForce("loop_filtered", lag)), *self.table[i + 1 :]]

@@ -48,7 +48,7 @@ def complete_readings(search: FitSearch) -> None:
 
 
 def build(search: FitSearch) -> Gaussian | Intervals:
-    """Estimate the noise, do as `add_forces`, and return the likelihood."""
+    """Estimate the noise, add and drop forces in this noise, and return the likelihood."""
     return add_forces(search, settle_either(search))
 
 

@@ -80,37 +80,42 @@ class PairTrial:
 
     record: FitProblem
 
+    @property
+    def longest(self) -> ObservedStretch:
+        """The longest stretch."""
+        return max(self.record.stretches, key=lambda stretch: stretch.y.size)
+
+    @cached_property
+    def part(self) -> ObservedStretch:
+        """The part of the longest stretch with the largest accelerations."""
+        return find_shaken_part(self.longest, self.record.resolution)
+
     @cached_property
     def spring(self) -> FollowedPair | None:
-        """The two masses on a spring by the part with the largest accelerations, or None if nothing suggests them."""
-        longest, part = _longest_and_shaken(self.record)
-        if part.y.size < TUNING.fewest:
+        """The two masses on a spring by that part, or None if nothing suggests them."""
+        if self.part.y.size < TUNING.fewest:
             return None
         with suppress(NotIdentifiableError), np.errstate(all="ignore"):
-            pair, _, ends = follow_guesses(replace(self.record, stretches=(part,)), longest)
+            pair, _, ends = follow_guesses(replace(self.record, stretches=(self.part,)), self.longest)
             return FollowedPair(pair, min(ends, key=lambda end: end.cost)) if ends else None
         return None
 
     @cached_property
     def explains(self) -> bool:
         """Whether two masses on a spring explain every count of the longest stretch."""
-        if self.spring is None or not self.spring.explained:
-            return False
-        longest, part = _longest_and_shaken(self.record)
-        whole = replace(self.spring.problem, stretches=(longest,))
-        return part is longest or follow(whole, [self.spring.end.q], prior_of(whole)).cost < rounding_of(whole)
+        if self.spring is None or not self.spring.explained or self.part is self.longest:
+            return self.spring is not None and self.spring.explained
+        whole = replace(self.spring.problem, stretches=(self.longest,))
+        return follow(whole, [self.spring.end.q], prior_of(whole)).cost < rounding_of(whole)
 
     @property
     def likeliest(self) -> FollowedPair | None:
-        """The two masses on a spring, or those with play if they alone explain every count of the part.
-
-        Masses with play that leave more may imitate another force.
-        """
-        if self.spring is not None and self.spring.explained:
+        """The two masses on a spring, or those with play if they alone explain every count of the part. Masses with
+        play that leave more may imitate another force."""
+        if self.part.y.size < TUNING.fewest or (self.spring is not None and self.spring.explained):
             return self.spring
-        part = _longest_and_shaken(self.record)[1]
         with suppress(NotIdentifiableError), np.errstate(all="ignore"):
-            play = FollowedPair(*play_start(replace(self.record, stretches=(part,)), trial=True))
+            play = FollowedPair(*play_start(replace(self.record, stretches=(self.part,)), trial=True))
             return play if play.explained else self.spring
         return self.spring
 
@@ -123,7 +128,7 @@ def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondM
     explain every count either, both are wrong, and the gain of likelihood is no surer than its scatter over pieces of
     the record shows (Vuong 1989).
     """
-    _, part = _longest_and_shaken(problem)
+    part = PairTrial(problem).part  # with the columns of the forces
     one = _fit_one_mass(problem, q, part)
     if one[1].cost < rounding_of(one[0]):
         return None
@@ -134,17 +139,11 @@ def try_second_mass(problem: FitProblem, q: Floats, trial: PairTrial) -> SecondM
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if two masses explain every count, or are
     likelier than an axis at rest with a disturbance."""
-    pair, part = PairTrial(problem).likeliest, _longest_and_shaken(problem)[1]
+    pair, part = (trial := PairTrial(problem)).likeliest, trial.part
     if pair is None:
         return None
     still = (part.y[0] - part.y) / problem.resolution
     return _read(pair, _weigh(pair, part, _split(part, still, noise_of((part,), [still], 0.0))))
-
-
-def _longest_and_shaken(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
-    """Return the longest stretch, and the part of it with the largest accelerations."""
-    stretch = max(problem.stretches, key=lambda one: one.y.size)
-    return stretch, find_shaken_part(stretch, problem.resolution)
 
 
 def _read(followed: FollowedPair, odds: float) -> SecondMass | None:
