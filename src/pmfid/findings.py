@@ -10,6 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+#: Relative error of a parameter that does not matter.
+NEGLIGIBLE = 0.01
 #: The remedy that helps most often.
 MOVE = "record a motion with reversals and varying speed"
 Severity = Literal["wrong", "doubt", "note"]

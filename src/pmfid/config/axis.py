@@ -16,10 +16,10 @@ from pmfid.config.keys import EstimatorKeys
 from pmfid.config.model import ModelConfig, Name, Positive
 from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Sections, axis_kind
 from pmfid.config.toml_file import FileSection, load_sections, override_sections
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.estimators import Discretization, Method, Precision
 from pmfid.estimators.facts import INPUT_GAIN, check_known
+from pmfid.findings import NEGLIGIBLE
 from pmfid.models.drive import POSITION_KEYS
 from pmfid.models.equation import ESTIMATE
 from pmfid.units import Quantity
@@ -61,7 +61,7 @@ class EstimatorConfig(FileSection):
     )
     precision: Precision = Field("float64", description="the arithmetic of the kernel")
     tolerance: float = Field(
-        TUNING.matter_tolerance,
+        NEGLIGIBLE,
         ge=0,
         lt=1,
         description="the largest negligible relative error of a parameter, for example 0.01",

@@ -146,7 +146,7 @@ def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.asce
             break
         weights = weights * np.maximum(shares, 0.0) ** 0.9
         weights /= weights.sum()
-    return np.where(weights < TUNING.ascent_negligible, 0.0, weights)
+    return np.where(weights < TUNING.ascent_enough, 0.0, weights)
 
 
 def share(rule: Criterion, mean: Floats) -> Floats:

@@ -63,8 +63,8 @@ class Box:
         """Narrow range j to the values that the inputs allow, and return the two inputs at its ends."""
         row, offset = where.matrix[j], where.offset[j]
         ends = [extreme(row), extreme(-row)]
-        self.upper[j] = min(self.upper[j], row @ ends[0] + offset + TUNING.bounds_slack)
-        self.lower[j] = max(self.lower[j], row @ ends[1] + offset - TUNING.bounds_slack)
+        self.upper[j] = min(self.upper[j], row @ ends[0] + offset + TUNING.solver_precision)
+        self.lower[j] = max(self.lower[j], row @ ends[1] + offset - TUNING.solver_precision)
         return ends
 
 

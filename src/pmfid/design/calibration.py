@@ -14,9 +14,8 @@ import numpy as np
 
 from pmfid.design.body import body_of, excite, prior_of, separate
 from pmfid.design.problem import Problem, parameters_of
-from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.findings import Finding
+from pmfid.findings import NEGLIGIBLE, Finding
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted, fit
@@ -234,7 +233,7 @@ class DesignedBody:
         size = np.maximum(np.abs(fitted.theta), np.abs([self.problem.nominal[name] for name in names]))
         positive = np.array([parameters_of(self.problem.drive)[name] for name in names])
         half = np.maximum(fitted.half, NORMAL_95 * std)
-        findings = tuple(findings_of(fitted, names, positive, size, TUNING.calibration_negligible))
+        findings = tuple(findings_of(fitted, names, positive, size, NEGLIGIBLE))
         variance = np.concatenate([one.variance for one in fitted.problem.stretches])
         residual = np.concatenate(fitted.residuals) / np.sqrt(variance)
         low = np.where(positive, np.maximum(fitted.theta - half, 0.0), fitted.theta - half)

@@ -34,10 +34,10 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
 def _covariance_of(problem: Problem, u: ArrayLike, parameters: Floats, phase: float, prior: Floats) -> Floats:
     """Return the covariance (p, p) of the scaled parameters for one machine, with the prior (p, p).
 
-    A weak bound holds the parameters of a machine that rests.
+    Standard deviations of the size of the nominal values hold the parameters of a machine that rests.
     """
     motion = simulate(problem, u, dict(zip(problem.names, parameters.tolist(), strict=True)))
-    slopes, known = motion.slopes * problem.scale, prior + np.eye(len(prior)) / TUNING.expected_far**2
+    slopes, known = motion.slopes * problem.scale, prior + np.eye(len(prior))
     if not problem.counted:
         return np.asarray(np.linalg.inv(_centre(slopes).T @ _centre(slopes) / problem.variance + known))
     count, (mixing, precision) = float(problem.resolution or 1.0), separate(known)

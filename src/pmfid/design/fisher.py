@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
 from pmfid.design.problem import Problem
-from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
 from pmfid.models.drive import Drive
 from pmfid.types import Floats
@@ -313,7 +312,7 @@ class Criterion:
             slope = _slope(self.name, S, self.combination)
         except np.linalg.LinAlgError:
             size = float(np.trace(S))
-            ridge = 1e-9 * (size if size > TUNING.fisher_tiny else 1.0)
+            ridge = 1e-9 * (size if size > np.finfo(float).tiny else 1.0)
             slope = _slope(self.name, S + ridge * np.eye(self.size), self.combination)
         return np.asarray(G @ slope @ G.T)
 
@@ -395,7 +394,7 @@ def _slope(name: str, S: Floats, combination: Floats | None) -> Floats:
     Raises LinAlgError if S is singular, or for `trace` if the trace of S is 0.
     """
     p = len(S)
-    if name == "trace" and np.trace(S) > TUNING.fisher_tiny:
+    if name == "trace" and np.trace(S) > np.finfo(float).tiny:
         return np.asarray(np.eye(p) / np.trace(S))
     if name == "D":
         return np.asarray(np.linalg.inv(S) / p)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from pmfid.design.polytope import InputSet, nearest_of_any_energy, retreat
+from pmfid.design.polytope import EQUAL, InputSet, nearest_of_any_energy, retreat
 from pmfid.design.tuning import TUNING
 from pmfid.errors import PmfidError, UsageError
 from pmfid.types import Floats
@@ -59,7 +59,7 @@ class Oracle:
         self._basis = self._highs.getBasis()
         if not np.isfinite(self.inputs.radius):
             return True
-        return float(np.linalg.norm(self._least_energy())) <= self.inputs.radius * (1 + 1e-9)
+        return float(np.linalg.norm(self._least_energy())) <= self.inputs.radius * (1 + EQUAL)
 
     def start(self) -> None:
         """Remove the rows and the basis that earlier objectives have left."""
@@ -73,7 +73,7 @@ class Oracle:
         """Return an input (K,) that maximises objective' u. Raises SolverError if HiGHS finds no optimum."""
         u = self.maximise_relaxed(objective)
         for _ in range(TUNING.max_cuts):
-            if not u @ u > self.inputs.radius**2 * (1 + TUNING.energy_tolerance):
+            if not u @ u > self.inputs.radius**2 * (1 + EQUAL):
                 return u
             self._cut(u)
             u = self.maximise_relaxed(objective)

@@ -175,10 +175,9 @@ def _jerk_rows(problem: Problem, jerk: float, v: Floats, v0: Floats) -> Rows:
     return "jerk", matrix, offset, -jerk, jerk
 
 
-#: Bounds of a row that are closer than this make the row an equation.
+#: Bounds of a row that are closer than this make the row an equation, and a limit that is missed by less, relative to
+#: its size, counts as met.
 EQUAL = 1e-9
-#: A row counts as met if it is missed by less than this, relative to the largest shortfall.
-MET = 1e-9
 
 
 def violation(inputs: InputSet, u: Floats) -> float:
@@ -262,7 +261,7 @@ def _least_distance_of_one(G: Floats, h: Floats) -> Floats:
     matrix, wanted = np.vstack([G.T, h]), np.r_[np.zeros(G.shape[1]), 1.0]
     try:
         d = _distance_of_dual(G, h, nnls(matrix, wanted)[0])
-        if np.max(h - G @ d) <= MET:
+        if np.max(h - G @ d) <= EQUAL:
             return d
     except RuntimeError:
         pass

@@ -62,7 +62,7 @@ def check_parameters(problem: Problem) -> None:
             if not math.isfinite(value) or (name == mass and value <= 0) or (signs[name] and value < 0):
                 sign = "positive" if name == mass else "at least 0" if signs[name] else "a number"
                 raise UsageError(f"{name} must be given, finite and {sign}, got {value}")
-            if abs(value) > TUNING.problem_most or (name == mass and value < TUNING.problem_least):
+            if abs(value) > TUNING.problem_most or (name == mass and value < 1 / TUNING.problem_most):
                 raise UsageError(f"{name} = {value:g} is impossible for a machine; give the value in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
@@ -127,7 +127,7 @@ def check_noise(problem: Problem) -> None:
         value = getattr(problem, name)
         if value is not None and not (math.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be positive and finite, got {value}")
-        if value is not None and not TUNING.problem_least**2 < value < TUNING.problem_most**2:
+        if value is not None and not TUNING.problem_most**-2 < value < TUNING.problem_most**2:
             raise UsageError(f"{name} = {value:g} is impossible for an encoder; check the unit")
     if problem.prior is not None:
         _check_prior(problem.prior, len(problem.names))

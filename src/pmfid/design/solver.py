@@ -15,7 +15,7 @@ from pmfid.design.ascent import Climber
 from pmfid.design.bounds import upper_bound
 from pmfid.design.fisher import Affine, Criterion, affine, check_identifiable, criterion_of, eliminate, motion
 from pmfid.design.oracle import Oracle
-from pmfid.design.polytope import UNITS, InputSet, input_set, nearest_of_any_energy, violations
+from pmfid.design.polytope import EQUAL, UNITS, InputSet, input_set, nearest_of_any_energy, violations
 from pmfid.design.problem import Design, InfeasibleError, Problem, Relaxation
 from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -123,7 +123,7 @@ def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
     found = _energy(problem, inputs)
     for name in UNITS:
         amounts = _least_widening(problem, inputs, (name,))
-        if amounts is not None and amounts[0] > TUNING.solver_least:
+        if amounts is not None and amounts[0] > EQUAL:
             found.append(_make_relaxation(problem, name, amounts[0]))
     found = [way for way in found if way.needed >= 0]
     return tuple(sorted(found, key=lambda way: abs(way.needed - way.value) / max(abs(way.value), 1e-9)))
@@ -136,9 +136,7 @@ def _together(problem: Problem) -> tuple[Relaxation, ...]:
     if amounts is None:
         return ()
     return tuple(
-        _make_relaxation(problem, name, amount)
-        for name, amount in zip(names, amounts, strict=True)
-        if amount > TUNING.solver_least
+        _make_relaxation(problem, name, amount) for name, amount in zip(names, amounts, strict=True) if amount > EQUAL
     )
 
 

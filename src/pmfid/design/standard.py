@@ -206,7 +206,7 @@ def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bo
     wishes = [_velocities(maker, path, rise, share) for share in shares for rise in rises]
     for wish in wishes:
         u = maker.input_of(wish)
-        if violation(maker.inputs, u) <= TUNING.standard_rounding:
+        if violation(maker.inputs, u) <= TUNING.solver_precision:
             return u, False
     return nearest(maker.inputs, maker.input_of(wishes[0])), True
 
@@ -248,7 +248,7 @@ def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
     """Return the signal over the whole range of the input, bent to the other limits."""
     low, high = maker.problem.limits.pair("input") or _range(maker)
     wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
-    if violation(maker.inputs, wish) <= TUNING.standard_rounding:
+    if violation(maker.inputs, wish) <= TUNING.solver_precision:
         return wish, False
     return nearest(maker.inputs, wish), True
 

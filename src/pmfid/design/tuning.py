@@ -27,18 +27,14 @@ class DesignTuning:
     ascent_furthest: float = 8.0
     #: Relative gain of a full step below which the step is only a drift.
     ascent_drift: float = 0.05
-    #: Largest excess of a motion over its share at which the weights count as converged.
+    #: Largest excess of a motion over its share at which the weights count as converged. Smaller weights become 0.
     ascent_enough: float = 1e-6
     ascent_rounds: int = 2000
-    #: Weights below this value become 0.
-    ascent_negligible: float = 1e-6
     #: Largest number of new motions, and the number of starts in the search for each motion.
     ascent_motions: int = 30
     ascent_searches: int = 4
 
     # bounds
-    #: Slack of every range, because the linear solver works to 1e-7.
-    bounds_slack: float = 1e-7
     #: Share of the chords' gap that is worth narrowing. Another round must take away `bounds_progress` of the excess.
     #: More rounds do not help a part that has to be halved in any case.
     bounds_worth: float = 0.9
@@ -50,10 +46,6 @@ class DesignTuning:
     #: Error that the tolerances of the linear solver may add to a bound, in units of the incumbent's value.
     slack_of_bound: float = 1e-6
 
-    # calibration
-    #: Negligible error of a parameter, relative to its value.
-    calibration_negligible: float = 0.01
-
     # expected
     #: Condition number of an information from which a parameter counts as open.
     expected_open: float = 1e12
@@ -61,23 +53,14 @@ class DesignTuning:
     expected_machines: int = 16
     #: Deviation of the machines' parameters from the data sheet, as a part of the nominal values.
     expected_wrong: float = 0.1
-    #: Standard deviation of the parameters of a machine at rest, as a part of the nominal values.
-    expected_far: float = 1.0
-
-    # fisher
-    #: Trace below which an information counts as 0.
-    fisher_tiny: float = 1e-200
 
     # oracle
-    #: Relative excess over the energy limit that still counts as met.
-    energy_tolerance: float = 1e-9
     #: Largest number of tangents that one answer may add, and that are kept in total.
     max_cuts: int = 5
     oracle_kept: int = 60
 
     # problem
-    #: Smallest and largest size of a value of a machine, in SI units.
-    problem_least: float = 1e-20
+    #: Largest size of a value of a machine, in SI units. Its inverse is the smallest size.
     problem_most: float = 1e20
 
     # ranking
@@ -85,10 +68,8 @@ class DesignTuning:
     ranking_sizes: tuple[float, ...] = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08)
 
     # solver
-    #: Largest violation of a limit, relative to the terms that the limit compares.
+    #: Largest violation of a limit, relative to the terms that the limit compares. The linear solver works to it.
     solver_precision: float = 1e-7
-    #: Relative change of a limit below which the limit counts as met.
-    solver_least: float = 1e-9
     #: Relative difference of the criterion within which a start counts as having reached the best.
     solver_reached: float = 1e-3
 
@@ -101,8 +82,6 @@ class DesignTuning:
     #: Numbers of intervals that hold one value, and highest frequencies as parts of the interval rate, for a ranking.
     standard_holds: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
     standard_highests: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
-    #: Relative violation of a limit that rounding explains.
-    standard_rounding: float = 1e-7
     #: Parts of the reachable distance that legs with a free end try to cover.
     standard_shares: tuple[float, ...] = (1.0, 0.8, 0.6, 0.4, 0.2)
     #: Largest peak velocity [m/s] in the search for a profile.

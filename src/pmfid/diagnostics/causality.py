@@ -208,7 +208,7 @@ def _robust(columns: Floats, target: Floats) -> Floats:
     chosen = [_fit_subset(short, target, trial) for trial in range(TUNING.causality_trials)]
     left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
     found: Floats = np.zeros(columns.shape[1])
-    for _ in range(TUNING.robust_passes):
+    for _ in range(TUNING.causality_passes):
         size: Floats = np.abs(left)
         kept = size <= max(TUNING.causality_jump * 1.4826 * float(np.median(size)), TUNING.causality_apart)
         found = np.asarray(np.linalg.lstsq(columns[kept], target[kept], rcond=1e-9)[0])

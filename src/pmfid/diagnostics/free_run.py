@@ -15,6 +15,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import make_problem, process_of
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.fit.free_motion import FreeMotion
 from pmfid.fit.problem import ObservedStretch
 from pmfid.linear.experiment import Experiment, RecordStretch
@@ -193,7 +194,7 @@ def measure_horizons(
 
 def finite(run: FreeRun) -> FreeRun:
     """Return the run, or raise UsageError if the simulation exceeds the range of numbers."""
-    if not np.max(np.abs(run.error)) < TUNING.beyond:
+    if not np.max(np.abs(run.error)) < ESTIMATOR_TUNING.beyond:
         raise UsageError(
             "the simulated output exceeds the range of floating-point numbers: use the units of parameters, input and "
             "resolution with which the parameters were identified"

@@ -13,6 +13,7 @@ from pmfid.diagnostics.causality import ResidualStretch, chance_of_feedback, cha
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import Finding, make_notes
 from pmfid.linear.counts import explain_counts
 from pmfid.linear.experiment import Experiment, Grid, RecordStretch, transition
@@ -69,7 +70,7 @@ def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | No
             return Hold()
     samples = sum(stretch.rows.size for stretch in white.stretches)
     gained = samples * np.log(max(mine.cost, 1e-300) / max(other.cost, 1e-300))
-    worth = chdtri(1, 2 * TUNING.hold_chance)
+    worth = chdtri(1, 2 * TUNING.false_alarm)
     return Hold(bool(gained > worth), bool(abs(gained) <= worth and far))
 
 
@@ -268,7 +269,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0, resolution: f
         simulated = [simulate(problem.structure, theta, initial, stretch)[stretch.rows] for stretch, initial in pairs]
     measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
-    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < TUNING.beyond:
+    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < ESTIMATOR_TUNING.beyond:
         raise NotIdentifiableError(
             "the simulated output exceeds the range of floating-point numbers: the records do not identify the "
             "transfer function; excite the process more, or use fewer poles and zeros"

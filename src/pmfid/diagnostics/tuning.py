@@ -17,17 +17,15 @@ class DiagnosticTuning:
     samples_per_lag: int = 15
     causality_ahead: int = 10
     #: Prediction of the input from its past. `own_past` and `short_past` are the numbers of past samples in the final
-    #: and the first prediction. `causality_trials` is the number of subsets for the first prediction, and
-    #: `robust_passes` is the number of passes. Each prediction holds for `causality_block` samples. `causality_jump` is
-    #: the size of a jump in robust standard deviations.
+    #: and the first prediction. `causality_trials` is the number of subsets for the first prediction. Each prediction
+    #: holds for `causality_block` samples. `causality_jump` is the size of a jump in robust standard deviations.
     own_past: int = 20
     short_past: int = 5
     causality_trials: int = 60
-    robust_passes: int = 4
     causality_block: int = 500
     causality_jump: float = 4.5
-    #: Number of alternations between the noise fit and the regression.
-    causality_passes: int = 3
+    #: Number of passes of a robust fit, and of alternations between the noise fit and the regression.
+    causality_passes: int = 4
     #: Relative size of a remainder below which the other columns explain a column up to rounding.
     causality_apart: float = 1e-7
 
@@ -42,20 +40,10 @@ class DiagnosticTuning:
     free_run_worth: float = 2.0
     #: Largest number of runs for each horizon.
     most_runs: int = 200
-    #: Greatest number whose square is still a finite float.
-    beyond: float = 1e120
     #: Smallest number of samples for each unknown in the fit of a start.
     free_run_samples: int = 4
 
-    # matter
-    #: Relative error of a parameter that does not matter.
-    matter_tolerance: float = 0.01
-    #: Number of standard errors within which an error is noise.
-    noise_limit: float = 3.0
-
     # processes
-    #: Greatest probability that a record with the right hold suggests the other hold.
-    hold_chance: float = 1e-4
     #: Number of standard errors above which two values of a parameter are far apart.
     processes_far: float = 2.0
     #: Relative decrease of the sum of squares below which a step is unnecessary and a model is judged.
@@ -64,7 +52,8 @@ class DiagnosticTuning:
     noise_chance: float = 1e-2
     #: Probability of chance below which the colour of the noise has moved the estimate.
     processes_elsewhere: float = 1e-3
-    #: Greatest part of the right models in open loop that a test of unmodelled effects or of feedback rejects.
+    #: Greatest part of the right models in open loop that a test of unmodelled effects, of feedback, or of the other
+    #: hold rejects.
     false_alarm: float = 1e-4
     #: Greatest residual that a wrong hold causes. Its unit is the difference between the responses with both holds at
     #: their first sample.

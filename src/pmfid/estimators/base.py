@@ -30,6 +30,7 @@ from pmfid.kernel.configuration import kernel_of, late_values, make_config, shap
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, MOST_LATE, Equation
+from pmfid.models.shapes import LARGEST, SMALLEST
 from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ class Estimator:
         if refused := self.refuses(self.equation):
             raise UsageError(refused)
         check_positive("dt", self.dt, "it is the sample period in s")
-        if not TUNING.base_shortest <= self.dt <= TUNING.base_longest:
+        if not SMALLEST <= self.dt <= LARGEST:
             raise UsageError(f"dt is {self.dt:g} s, which is no plausible sample period; give the sample period in s")
         check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
         if self.cutoff * self.dt > 2:
@@ -335,7 +336,7 @@ class Estimator:
     @property
     def settle_samples(self) -> int:
         constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
-        return math.ceil(constants / max(self.cutoff * self.dt, TUNING.least_product)) + 3
+        return math.ceil(constants / max(self.cutoff * self.dt, np.finfo(float).tiny)) + 3
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0

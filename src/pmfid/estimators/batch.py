@@ -38,7 +38,7 @@ def check_identifiable(
             f"{len(names)} parameters; record longer, or use a higher cutoff"
         )
     parts = (columns.phi, columns.z, columns.zeta)
-    if not max(np.max([np.max(part), -np.min(part)]) for part in parts) < TUNING.batch_beyond:
+    if not max(np.max([np.max(part), -np.min(part)]) for part in parts) < TUNING.beyond:
         raise NotIdentifiableError(
             "the measured or the simulated motion exceeds the range of numbers: check the scales of "
             "input and output, and the signs in [model]"
@@ -70,7 +70,7 @@ def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
     """
     for name, column in zip(names, columns.phi.T, strict=True):
         norm = float(np.linalg.norm(column))
-        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, TUNING.tiny))
+        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, np.finfo(float).tiny))
         if norm > 0 and apart < TUNING.target_apart * np.linalg.norm(columns.z):
             raise NotIdentifiableError(
                 f"the input is proportional to the regressor of {name} all the time: the excitation is too "

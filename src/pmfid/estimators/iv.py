@@ -302,7 +302,7 @@ def _measure_change(columns: Columns, before: NDArray[np.float64], theta: NDArra
     small = (
         TUNING.instruments_small
         * np.linalg.norm(columns.z)
-        / np.maximum(np.linalg.norm(columns.phi, axis=0), TUNING.tiny)
+        / np.maximum(np.linalg.norm(columns.phi, axis=0), np.finfo(float).tiny)
     )
     size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
     return float(np.max(np.abs(theta - before) / size))

@@ -68,7 +68,7 @@ def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts)
     total = covariance + further[..., None] * np.eye(estimate.shape[1])
     with np.errstate(all="ignore"):  # a parameter of zero or missing knowledge gives NaN
         a, b = estimate, _start(estimate, total, facts)
-        for _ in range(TUNING.known_most_steps):
+        for _ in range(TUNING.instruments_max_iterations):
             step = _linear(a, b, total, facts)
             rest = facts.value - step.h + _times(step.by_a, a - estimate)
             change = np.sum(step.gain_b * rest, axis=1)
@@ -325,7 +325,7 @@ class Known:
         named = [
             (name, f"{name} = {value:.6g}" + (f" ± {own:.2g}" if own else ""))
             for (name, (value, own)), away in zip(self._facts.items(), apart, strict=True)
-            if abs(away) > TUNING.known_contradicted
+            if abs(away) > TUNING.contradicted
         ]
         if not named:
             return ()

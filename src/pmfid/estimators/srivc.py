@@ -177,7 +177,7 @@ def choose_start_pole(model: Model, experiments: Sequence[Experiment]) -> float:
     The poles are octaves apart, from four time constants in the longest record to half the inverse of the sample
     period. Raises UsageError without a usable record.
     """
-    dt, most = experiments[0].period, TUNING.srivc_start_samples
+    dt, most = experiments[0].period, TUNING.stretch
     poles = 0.5 / dt * 0.5 ** np.arange(max(1, round(np.log2(max(part.u.size for part in experiments))) - 2))
     parts = [part.cut(most) for part in experiments]
     problems = (make_problem(SRIVC(model, Encoder(1.0), dt, pole), parts) for pole in poles.tolist())
@@ -247,7 +247,7 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
         countable = np.all(np.isfinite(np.linalg.norm(point.zeta, axis=0)))
     parts = parts_of_their_own(point.zeta, rcond=1e-13)[0] if countable else np.zeros(len(names))
     worst = int(np.argmin(parts))
-    if not parts[worst] > TUNING.srivc_apart:
+    if not parts[worst] > TUNING.target_apart:
         raise NotIdentifiableError(
             f"{names[worst]} has too little effect of its own on the output, because the excitation is "
             "poor or the order of the model is too high; use fewer poles or zeros, or a more varied input"

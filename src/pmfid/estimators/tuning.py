@@ -31,21 +31,16 @@ class EstimatorTuning:
 
     # base
     max_settle_samples: int = 10**8
-    #: Shortest and longest sample period [s].
-    base_shortest: float = 1e-12
-    base_longest: float = 1e12
-    #: Value in place of a smaller cutoff * dt, which is refused, because its results exceed float64.
-    least_product: float = 1e-300
     #: Number of first updates in which a solution corrects the rounding of the last one. Later the innovations alone
     #: move theta. float64 without forgetting never changes over.
     residual_updates: int = 256
 
     # batch
-    #: A target that is closer to one regressor alone, relative to its size, identifies no other parameter.
+    #: A target that is closer to one regressor alone, or a sensitivity that is closer to the others, relative to its
+    #: size, identifies no other parameter.
     target_apart: float = 1e-6
-    tiny: float = 1e-300
     #: Largest number whose square stays within the format.
-    batch_beyond: float = 1e120
+    beyond: float = 1e120
 
     # cutoff
     #: Tried time constants of the filters [samples]. A longer one averages the encoder's error more, and a shorter one
@@ -78,18 +73,14 @@ class EstimatorTuning:
     jacobian_step: float = 1e-3
 
     # known
-    #: Most iterations. One given force needs a single step; only contradicting facts need more.
-    known_most_steps: int = 30
     known_converged: float = 1e-13
     #: No other information tests a fact whose remaining variance is below this part.
     known_untested: float = 1e-9
-    #: A fact and a record contradict each other from this number of standard deviations of their difference.
-    known_contradicted: float = 3.0
+    #: A fact and a record, or a method and the fit, contradict each other from this number of standard deviations of
+    #: their difference. A smaller error is noise.
+    contradicted: float = 3.0
     #: Samples of a record over which the parameters' correlation counts as constant.
     known_piece: int = 200
-
-    #: Least mass, as a part of the start's mass. Without mass the motion has no equation.
-    least_mass: float = 1e-3
 
     # plants
     #: Part of a column's power that products of columns show accurately. The rounding error is 1e-16 over its square.
@@ -145,14 +136,11 @@ class EstimatorTuning:
     # srivc
     #: Largest relative difference of two sample periods that count as equal.
     same_period: float = 0.05
-    #: Least part of a sensitivity that must be independent of the others.
-    srivc_apart: float = 1e-6
-    #: Samples of each record that choose the pole of the first filters. They bound the time.
-    srivc_start_samples: int = 20_000
 
     # stretches
     #: Samples of the longest record that is used as a whole in each step. A longer record is represented by its
-    #: liveliest stretch of this length where any part of it gives the same answer.
+    #: liveliest stretch of this length where any part of it gives the same answer. The same number of samples chooses
+    #: the pole of the first filters of srivc.
     stretch: int = 20_000
     #: Turns of the iteration on a long record from the estimate of a stretch.
     stretch_turns: int = 12

@@ -21,9 +21,9 @@ from pmfid.design.problem import Design, Limits, Problem, parameters_of
 from pmfid.design.ranking import rank
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.solver import Progress, solve
+from pmfid.design.tuning import TUNING
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.models.drive import Drive
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.joining import make_even
 from pmfid.records.record import read_record
 
@@ -151,7 +151,7 @@ class LimitsSpec(FileSection):
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name, value in self.model_dump(exclude_none=True).items():
-            if np.max(np.abs(value)) > TUNING.most_limit:
+            if np.max(np.abs(value)) > TUNING.problem_most:
                 raise ValueError(
                     f"{name} = {value!r} limits nothing; leave the limit out, or give the limit of the machine"
                 )

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmfid.errors import UsageError, printable
+from pmfid.io.safety import MOST_BYTES
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
@@ -80,7 +81,7 @@ class Stored(_Section):
         Parameter names do not show a known dead time, a friction term's speed or a force's pitch.
         """
         if self.equation is not None and self.equation != text:
-            stored = printable(" ".join(self.equation.split()))[: TUNING.stored_longest]
+            stored = printable(" ".join(self.equation.split()))[: TUNING.longest_text]
             self._refuse(f"the result has {stored}, but [model] has {text}; {SAME_AXIS}")
 
     def _refuse(self, text: str) -> NoReturn:
@@ -92,10 +93,8 @@ def read_stored(path: Path) -> Stored:
     result.
     """
     try:
-        if path.stat().st_size > TUNING.stored_largest:
-            raise UsageError(
-                f"{path}: the file has more than {TUNING.stored_largest} bytes, too many for a result; {REMEDY}"
-            )
+        if path.stat().st_size > MOST_BYTES:
+            raise UsageError(f"{path}: the file has more than {MOST_BYTES} bytes, too many for a result; {REMEDY}")
         raw = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_number)
         return Stored.model_validate(raw).model_copy(update={"source": str(path)})
     except OSError as error:

@@ -11,26 +11,25 @@ class PipelineTuning:
 
     # checks.counter
     #: Limits for a column that changes only every k rows. `counter_most` is the largest k, and `counter_least` is the
-    #: smallest number of changes. `in_step` is the smallest part of the changes in step with k. Among the rows that are
-    #: multiples of k, at least the part `counter_often` has a change.
+    #: smallest number of changes. `in_step` is the smallest part of the changes in step with k, or of the steps of a
+    #: column that are whole multiples. Among the rows that are multiples of k, at least the part `counter_often` has a
+    #: change.
     counter_most: int = 50
     counter_least: int = 30
     in_step: float = 0.98
     counter_often: float = 0.3
 
     # checks.inputs
-    #: Number of values below which an input consists of steps.
+    #: Number of values below which an input consists of steps, and of the values next to a limit that it is compared
+    #: with.
     inputs_levels: int = 20
     #: Relative width of a level of a measured input, and largest part of the rows between the levels.
     one_level: float = 0.1
     one_level_rows: float = 0.02
     #: Smallest part of the record at a limit. `inputs_piled` is the smallest ratio of rows at the limit to rows at one
-    #: of the `inputs_neighbours` nearest values.
+    #: of the nearest values.
     at_limit: float = 0.005
     inputs_piled: float = 5.0
-    inputs_neighbours: int = 20
-    #: Time constants of the filters of the views [samples].
-    times: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0)
 
     # checks.force
     #: Smallest correlation of a command with the output that it sets.
@@ -41,8 +40,8 @@ class PipelineTuning:
     #: that another reading leaves unexplained to the part that the given reading leaves.
     readings_follows: float = 0.15
     readings_better: float = 0.3
-    #: Number of standard deviations above which a sign is certain. `readings_likely` is the number above which a sign
-    #: is likely.
+    #: Number of standard deviations above which a sign, or the mass of a reading, is certain. `readings_likely` is the
+    #: number above which a sign is likely.
     readings_certain: float = 4.5
     readings_likely: float = 3.0
     #: Unexplained part above which a record says nothing about a sign.
@@ -53,7 +52,7 @@ class PipelineTuning:
     readings_lasting: float = 10.0
     #: Smallest travel that shows gravity [rad]. A spring explains a shorter travel equally well.
     readings_turned: float = 1.0
-    #: Smallest travel from one end to the other [counts].
+    #: Smallest travel that shows a motion [counts].
     readings_fewest: int = 8
 
     # checks.timing
@@ -81,21 +80,14 @@ class PipelineTuning:
     view_counts: int = 6
     #: Smallest ratio of the change of the motion at an abrupt stop to the largest change elsewhere.
     view_abrupt: float = 2.5
-    #: Smallest number of samples in a stop, and smallest number of counts that the usual speed would bring during the
-    #: stop.
+    #: Smallest number of samples in a stop, which is also the allowed delay of a motion, and smallest number of counts
+    #: that the usual speed would bring during the stop.
     shortest_stop: int = 5
     view_missed: float = 4.0
-    #: Force that moves an axis from rest, as a multiple of the friction. `view_late` is the allowed delay [samples],
-    #: and `view_far` is the smallest motion by the force [counts].
+    #: Force that moves an axis from rest, as a multiple of the friction.
     view_held: float = 2.2
-    view_late: int = 5
-    view_far: float = 8.0
     #: Largest number of filtered samples. The filters run over the samples with the most motion.
     view_most_samples: int = 8000
-
-    # designs
-    #: Largest limit in any unit, which no machine reaches.
-    most_limit: float = 1e100
 
     # drives
     #: Largest ratio of the unexplained part after integration to the unexplained part before integration.
@@ -119,20 +111,13 @@ class PipelineTuning:
     encoders_missed: float = 0.3
 
     # guess.axis_file
-    #: Shortest, longest and most common sample period of an axis [s].
-    axis_file_shortest: float = 1e-5
-    axis_file_longest: float = 0.1001
+    #: Most common sample period of an axis [s].
     axis_file_usual: float = 1e-3
     #: A step of an angle is a rounded part of a turn if the counts of a turn are this close to a whole number.
     whole_turn: float = 0.05
-    #: Largest number of characters of a list of columns in a message.
-    axis_file_listed: int = 80
 
     # guess.columns
-    #: Largest number of examined values. `columns_part` is the smallest part of the steps that are whole multiples, and
-    #: `columns_exact` is the largest distance of a step from a multiple.
-    columns_most: int = 20_000
-    columns_part: float = 0.98
+    #: Largest distance of a step from a multiple of another step.
     columns_exact: float = 0.02
     #: Largest rounding of a log relative to a step. With more rounding, any step would be possible.
     most_rounded: float = 0.15
@@ -147,13 +132,12 @@ class PipelineTuning:
     columns_mostly: float = 0.9
 
     # guess.pairs
-    #: Scores of a pair are logarithms of odds. `pairs_nothing` is the score of a log without an axis. A log without
-    #: names needs a motion that explains two thirds of the input. `pairs_clear` is the weight of a clear name,
-    #: `pairs_likely` the weight from which on a name excludes other roles, and
-    #: `pairs_computed` the weight of a word for a filtered value, or half of the weight of a word for a command.
+    #: Scores of a pair are logarithms of odds. `pairs_nothing` is the score of a log without an axis, and the weight
+    #: from which on a name excludes other roles. A log without names needs a motion that explains two thirds of the
+    #: input. `pairs_clear` is the weight of a clear name, and `pairs_computed` the weight of a word for a filtered
+    #: value, or half of the weight of a word for a command.
     pairs_nothing: float = 2.0
     pairs_clear: float = 4.0
-    pairs_likely: float = 2.0
     pairs_computed: float = 1.0
     #: Weight of the logarithm of the unexplained part, which is at least `pairs_least`. Unmodelled friction leaves more
     #: of the input unexplained than noise does, so that the power of the rows counts for no more than two rows.
@@ -161,9 +145,10 @@ class PipelineTuning:
     pairs_least: float = 0.02
     #: Weight of a relation that no input and output have.
     pairs_relation: float = 10.0
-    #: Difference of scores beyond which another pair does not matter. `pairs_sure` is the probability from which on a
-    #: pair is written without a doubt, and `pairs_explained` the smallest explained part.
-    pairs_negligible: float = 6.0
+    #: Difference of scores beyond which another pair does not matter, and weight of a unit in a name. `pairs_sure` is
+    #: the probability from which on a pair is written without a doubt, and `pairs_explained` the smallest explained
+    #: part.
+    pairs_certain: float = 6.0
     pairs_sure: float = 0.9
     pairs_explained: float = 0.3
     #: Largest number of tried pairs of an input and an output.
@@ -176,15 +161,12 @@ class PipelineTuning:
     #: Largest travel of a pendulum whose angle has no unit [rad]. A column with a larger travel is not the angle of a
     #: pendulum.
     most_turned: float = 1000.0
-    #: Smallest mass of a reading in standard deviations.
-    columns_significant: float = 4.5
 
     # guess.relations
-    #: Largest difference of two sensors of one quantity, relative to their standard deviation.
+    #: Largest difference of two sensors of one quantity, relative to their standard deviation, and largest distance of
+    #: the gain of a set point from 1. `relations_follows` is the largest part of a set point that the output does not
+    #: follow.
     relations_copy: float = 0.05
-    #: Largest distance of the gain of a set point from 1. `relations_follows` is the largest part of a set point that
-    #: the output does not follow.
-    relations_gain: float = 0.05
     relations_follows: float = 0.2
     #: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
     #: direction.
@@ -195,8 +177,7 @@ class PipelineTuning:
     columns_same: float = 0.99
 
     # guess.roles
-    #: Weights of a unit in a name. A voltage or a ratio may stand for any quantity, as on an oscilloscope.
-    roles_unit: float = 6.0
+    #: Weight of a unit that may stand for any quantity, as a voltage or a ratio on an oscilloscope.
     roles_analog: float = 1.5
 
     # monitored.run
@@ -212,10 +193,8 @@ class PipelineTuning:
     setup_sure: float = 2.0
 
     # stored
-    #: Largest accepted file [bytes], because a result has only some kilobytes.
-    stored_largest: int = 10_000_000
-    #: Largest number of letters of a text from the file in a message.
-    stored_longest: int = 150
+    #: Largest number of letters of a text from a file in a message.
+    longest_text: int = 150
     #: Relative difference below which a number in a file equals the configured number.
     stored_same: float = 1e-6
 

@@ -68,7 +68,7 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
     varies = jitter > TUNING.clock_same_steps
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if varies else []
-    if mean * factor > TUNING.slow_period:
+    if mean * factor > TUNING.longest_plain_period:
         notes.append(f"a sample period of {mean * factor:g} s is slow for an axis")
     if grid and jitter > TUNING.clock_even:
         notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, and the grid replaces them")
@@ -122,7 +122,7 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     period = float(np.sum(k * since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
-    if _furthest(np.diff(time), period) < TUNING.clock_plain * period or is_rounded(time):
+    if _furthest(np.diff(time), period) < TUNING.clock_same_steps * period or is_rounded(time):
         return period, True
     since -= np.mean(since)
     since /= period
@@ -143,12 +143,12 @@ def is_rounded(time: Floats) -> bool:
     """
     steps = np.diff(time)
     digit = float(np.max(steps, initial=0.0))
-    single = np.abs(steps - digit) < TUNING.clock_whole * digit
+    single = np.abs(steps - digit) < TUNING.clock_same * digit
     if not (digit > 0 and np.all(single | (steps == 0)) and np.mean(single) < TUNING.clock_furthest):
         return False
     k = np.arange(time.size, dtype=np.float64)
     late = time - time[0] - np.polyval(np.polyfit(k, time - time[0], 1), k)
-    return bool(np.max(np.abs(late)) < (0.5 + TUNING.clock_early / 3) * digit)
+    return bool(np.max(np.abs(late)) < (0.5 + TUNING.clock_near / 3) * digit)
 
 
 def slope_below(late: Floats) -> float:
@@ -164,7 +164,7 @@ def slope_below(late: Floats) -> float:
     if float(np.mean(late**3)) < TUNING.most_by_chance * np.sqrt(6 / n) * size**3:
         return 0.0
     k, middle, slope = np.arange(n, dtype=np.float64), n // 2, 0.0
-    for _ in range(TUNING.clock_bridge_turns):
+    for _ in range(TUNING.clock_turns):
         above = late - slope * k
         left, right = int(np.argmin(above[:middle])), middle + int(np.argmin(above[middle:]))
         before, slope = slope, float(late[right] - late[left]) / (right - left)
@@ -398,7 +398,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
         return None
     steps /= median
     times = np.rint(steps)
-    if np.max(np.abs(steps - times)) > TUNING.clock_whole or np.min(times) < 1:
+    if np.max(np.abs(steps - times)) > TUNING.clock_same or np.min(times) < 1:
         return None
     longer = bool(np.max(times) > 2)  # rounding gives at most two periods
     if longer and np.count_nonzero(times == 2) < TUNING.long_steps:
@@ -446,7 +446,7 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     stamps = _take_rows(time, rows)
     steps = np.diff(stamps)
     early = (
-        np.r_[False, (steps >= 0) & (steps < TUNING.clock_early * np.median(steps))]
+        np.r_[False, (steps >= 0) & (steps < TUNING.clock_near * np.median(steps))]
         if steps.size
         else np.zeros(rows.size, bool)
     )
@@ -454,7 +454,7 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     if not 0 < count <= max(1, TUNING.clock_rare * rows.size) or even_grid(stamps)[1]:
         return rows, ()
     note = "rows come" if count > 1 else "row comes"
-    when = f"less than {TUNING.clock_early:g} of a period after another row: left out"
+    when = f"less than {TUNING.clock_near:g} of a period after another row: left out"
     return rows[~early], (f"{count} {note} {when}",)
 
 
@@ -474,11 +474,9 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
         numbers = np.clip(np.rint(steps / period), 1, TUNING.clock_most).astype(np.intp)
         short = numbers <= TUNING.clock_short
         before, period = period, float(np.sum(steps[short]) / np.sum(numbers[short]))
-        if abs(period - before) <= TUNING.clock_settled * period:
+        if period == before:
             break
     places = np.r_[0, np.cumsum(numbers)]
-    if np.mean(numbers == 1) < TUNING.clock_single:
-        return None
     if np.max(np.abs(steps / period - numbers)[short]) <= TUNING.clock_near:
         return places, period
     return _place_by_line(time, places)

@@ -58,7 +58,7 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
         return
     steps, number = np.abs(np.diff(output[np.isfinite(output)])), float(step) / step.unit.factor
     least = float(np.min(steps[steps > TUNING.record_rounding * number], initial=np.inf))
-    if abs(least / number - 1) < TUNING.record_step_digits:
+    if abs(least / number - 1) < TUNING.record_whole:
         raise UsageError(
             f"the output column {config.output!r} seems to be in {step.unit.name}, because its steps are "
             f'{number:g}, as in [encoder] resolution: give [record] output_unit = "{step.unit.name}"'

@@ -58,7 +58,7 @@ def find_instants(time: Floats, u: Floats, y: Floats) -> Instants | None:
     timed = np.isfinite(time) & np.isfinite(u)
     measured = _drop_repeats(time[timed], u[timed], y[timed])
     stamps, u, y = _drop_repeats(time[known], u[known], y[known])
-    if stamps.size < TUNING.resampling_fewest or not np.ptp(stamps) > stamps.size / TUNING.largest_number:
+    if stamps.size < TUNING.clock_group or not np.ptp(stamps) > stamps.size / TUNING.largest_number:
         return None
     if not _is_uneven(stamps, y):
         return None
@@ -74,7 +74,7 @@ def integrate_stamps(time: Floats, velocity: Floats, u: Floats) -> Floats | None
     their steps are even.
     """
     known = np.isfinite(time) & np.isfinite(velocity) & np.isfinite(u)
-    if np.count_nonzero(known) < TUNING.resampling_fewest or (np.all(known) and has_same_steps(time)):
+    if np.count_nonzero(known) < TUNING.clock_group or (np.all(known) and has_same_steps(time)):
         return None
     stamps, values = time[known], velocity[known]
     if not np.all(np.diff(stamps) >= 0) or not _is_uneven(stamps, values) or _are_late(stamps, values):
@@ -189,7 +189,7 @@ def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
     single: Flags = (both > 0) & (both < 2 * TUNING.longest_step * _usual_step(steps))
     change, whole = (y[1:-1] - y[:-2])[single], (y[2:] - y[:-2])[single]
     shown, by_stamps = change - 0.5 * whole, (part[single] - 0.5) * whole
-    plain = np.abs(shown - 0.5 * by_stamps) <= np.quantile(np.abs(shown - 0.5 * by_stamps), TUNING.resampling_plain)
+    plain = np.abs(shown - 0.5 * by_stamps) <= np.quantile(np.abs(shown - 0.5 * by_stamps), 1 - TUNING.most_inputs)
     shown, by_stamps = shown[plain], by_stamps[plain]
     square = float(np.sum(by_stamps**2))
     if not square > 0:

@@ -29,7 +29,7 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
             "identify them one by one"
         )
     for record in records[1:]:
-        if abs(record.dt / first.dt - 1) > TUNING.joining_same_period:
+        if abs(record.dt / first.dt - 1) > TUNING.clock_same_steps:
             raise UsageError(
                 f"{record.name} has a sample period of {record.dt:g} s, {first.name} one of {first.dt:g} s: identify "
                 "them one by one"
@@ -57,8 +57,9 @@ def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Co
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:
         return record.u, counts, there, before
-    gap = np.full(TUNING.gaps_apart, np.nan), np.full(TUNING.gaps_apart, start), np.zeros(TUNING.gaps_apart, bool)
-    later = np.full(TUNING.gaps_apart, record.dt)
+    apart = TUNING.gaps_bridged + 1  # no line may bridge the records
+    gap = np.full(apart, np.nan), np.full(apart, start), np.zeros(apart, bool)
+    later = np.full(apart, record.dt)
     return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there], np.r_[later, before]
 
 

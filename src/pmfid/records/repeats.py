@@ -32,10 +32,10 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
     rows with changes of many steps. No motion does so.
     """
     stale = np.zeros(y.size, bool)
-    if _count_sudden_rests(np.diff(y)) < TUNING.repeats_fewest:
+    if _count_sudden_rests(np.diff(y)) < TUNING.long_steps:
         return stale
     new = np.flatnonzero(np.diff(y, prepend=np.nan))
-    if new.size < TUNING.repeats_fewest:
+    if new.size < TUNING.long_steps:
         return stale
     before, after = np.diff(y[new])[:-1], np.diff(y[new])[1:]
     rows_each = np.diff(new)
@@ -44,7 +44,7 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
     rests = (rows_each > 1) & (rows_each <= np.where(caught_up, TUNING.repeats_longest, TUNING.repeats_longest_slow))
     fast = (np.sign(before) == np.sign(after)) & (np.minimum(np.abs(before), np.abs(after)) > TUNING.repeats_sudden)
     sudden, most = int(np.count_nonzero(fast & rests[1:])), int(np.count_nonzero(fast))
-    if sudden < TUNING.repeats_fewest or not TUNING.repeats_part * most < sudden < TUNING.repeats_most * most:
+    if sudden < TUNING.long_steps or not TUNING.repeats_part * most < sudden < TUNING.repeats_most * most:
         return stale
     inner = np.flatnonzero(rests[1:-1]) + 1
     rows = np.concatenate([new[inner] + i for i in range(1, TUNING.repeats_longest)])

@@ -22,7 +22,7 @@ def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple
         return dict(columns), ()
     known = np.isfinite(columns["time"])
     given, stamps = (columns["time"][known & rows] for rows in (u, y))
-    if min(given.size, stamps.size) < TUNING.topics_fewest or min(np.min(np.diff(given)), np.min(np.diff(stamps))) <= 0:
+    if min(given.size, stamps.size) < TUNING.min_samples or min(np.min(np.diff(given)), np.min(np.diff(stamps))) <= 0:
         return dict(columns), ()
     values = columns["input"][known & u]
     impulse = np.r_[0.0, np.cumsum(values[:-1] * np.diff(given))]

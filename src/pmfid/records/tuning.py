@@ -10,42 +10,38 @@ class RecordTuning:
     """Thresholds and counts of `pmfid.records`, grouped by module."""
 
     # clock
-    #: Range of the sample periods of machine axes [s], as drives log every 10 us to 100 ms. A name with a unit is
-    #: believed up to `longest_named_period`. A period from `slow_period` on is slow for any axis.
+    #: Range of the sample periods of machine axes [s], as drives log every 10 us to 100 ms. A longer period is slow for
+    #: any axis. A name with a unit is believed up to `longest_named_period`.
     shortest_plain_period: float = 0.999e-5
     longest_plain_period: float = 0.1001
     longest_named_period: float = 1.001
-    slow_period: float = 0.0999
     #: Seconds since 1970 at the beginning of 2000 and of 2100.
     clock_epochs: tuple[float, float] = (946_684_800.0, 4_102_444_800.0)
     #: Relative deviation of steps from their median that needs no note.
     clock_even: float = 0.1
-    #: Relative deviation of steps below which the grid is even without a further test.
-    clock_plain: float = 1e-6
-    #: Relative deviation within which a step is a multiple of another step.
-    clock_whole: float = 0.01
     #: Largest deviation of a stamp from an even grid by chance [sample periods].
     clock_furthest: float = 0.9
-    #: Number of averaged stamps that reveal a missing sample. The next constant is the largest mean by chance, in
-    #: standard deviations.
+    #: Fewest stamps for a decision, and number of averaged stamps that reveal a missing sample. The next constants are
+    #: the largest and the least number of blocks of stamps, whose means show the scatter of stamps that are late
+    #: together, and the largest mean by chance, in standard deviations.
     clock_group: int = 50
-    #: Largest and least number of blocks of stamps whose means show the scatter of stamps that are late together.
     clock_blocks: int = 30
     clock_least_blocks: int = 4
     most_by_chance: float = 5.0
-    #: Relative difference of the longest and shortest step of a clock that needs neither a note nor a further test.
+    #: Relative difference of the longest and shortest step of a clock, or of the periods of two records, that needs
+    #: neither a note nor a further test. Tolerances of clocks explain it.
     clock_same_steps: float = 1e-3
-    #: Relative difference within which periods agree, of a configuration, a time column or the halves of a record. Even
-    #: half of the limit causes a significant error of the mass.
+    #: Relative difference within which periods agree, of a configuration, a time column or the halves of a record, or a
+    #: step and a multiple of another step. Even half of the limit causes a significant error of the mass.
     clock_same: float = 0.01
     #: Longest step without a missing sample, in median steps.
     clock_missing: float = 1.5
-    #: Largest distance of a step from a whole number of periods on an even grid [periods].
+    #: Largest distance of a step from a whole number of periods on an even grid, and time after a row within which a
+    #: following row is too early [periods]. `clock_rare` is the greatest part of rows that are too early.
     clock_near: float = 0.3
+    clock_rare: float = 0.001
     #: Longest step that determines the period [periods], because a pause may have a fractional length.
     clock_short: int = 5
-    #: Relative accuracy of the period.
-    clock_settled: float = 1e-9
     #: Largest standard deviation of stamps around a grid [periods]. Random stamps have a standard deviation of 0.29
     #: periods.
     clock_scatter: float = 0.2
@@ -53,18 +49,11 @@ class RecordTuning:
     #: has 1.3. Sorted stamps with a delay of 2 periods have 2.2, from where on both lines are alike. Errors in both
     #: directions have more than 3.
     clock_lowest: float = 2.3
-    #: Largest number of lines that are tried below all stamps. A few suffice.
-    clock_bridge_turns: int = 50
-    #: Time after a row within which a following row is too early [periods]. `clock_rare` is the greatest part of rows
-    #: that are too early.
-    clock_early: float = 0.3
-    clock_rare: float = 0.001
-    #: Largest number of iterations between grid and places.
-    clock_turns: int = 5
-    #: Smallest part of the steps of a grid that are single periods.
-    clock_single: float = 0.3
-    #: Smallest number of long steps that distinguishes missing lines from rounded stamps. The output at only one or two
-    #: pauses says too little.
+    #: Largest number of lines that are tried below all stamps, and of iterations between grid and places. A few
+    #: suffice.
+    clock_turns: int = 50
+    #: Smallest number of long steps that distinguishes missing lines from rounded stamps, and of rows that repeat an
+    #: output. The output at only one or two pauses says too little, and a single repeated row is a wrong reading.
     long_steps: int = 5
     #: Longest gap on the grid [samples]. Longer gaps are shortened, because the motion restarts after any gap.
     clock_longest: int = 1000
@@ -78,12 +67,6 @@ class RecordTuning:
     gaps_shortest: float = 0.02
     #: Length of gaps that straight lines bridge where no motion can restart after each [samples].
     gaps_bridged: int = 8
-    #: Number of samples without input between two joined records.
-    gaps_apart: int = 20
-
-    # joining
-    #: Largest relative difference of sample periods that tolerances of clocks explain.
-    joining_same_period: float = 1e-3
 
     # outliers
     #: Largest change after unwrapping, relative to the range. `outliers_smoother` is the largest ratio of the roughness
@@ -110,19 +93,18 @@ class RecordTuning:
     outliers_named: int = 4
 
     # record
-    #: Largest distance of a velocity from a multiple of a step, relative to the step.
+    #: Largest relative distance of a velocity from a multiple of a step, or of the step of a column from a resolution.
+    #: Logs have at least three digits. Differences of a column below `record_rounding` of its step come from its binary
+    #: rounding.
     record_whole: float = 1e-3
-    #: Differences of a column below this part of its step come from its binary rounding. A column has the step of a
-    #: resolution if both agree to three digits, which logs have at least.
     record_rounding: float = 1e-6
-    record_step_digits: float = 1e-3
     # Limit of counts, because neighbouring integers beyond 2**53 share one float64 and a count would be silently wrong.
     max_count: float = 2.0**53
     #: Largest number of a column. No unit of any quantity needs more.
     largest_number: float = 1e100
-    #: Number of rows that are tested for counts. A column holds counts if all tested numbers are whole and more than
-    #: `most_whole` of them are distinct.
-    record_distinct: int = 10_000
+    #: Number of rows that are tested for steps and counts. A column holds counts if all tested numbers are whole and
+    #: more than `most_whole` of them are distinct.
+    record_distinct: int = 20_000
     most_whole: int = 20
     min_samples: int = 10
 
@@ -134,10 +116,8 @@ class RecordTuning:
     #: limit if the next value does not catch up.
     repeats_longest: int = 8
     repeats_longest_slow: int = 4
-    #: Smallest number of rows that repeat an output. `repeats_part` and `repeats_most` are the smallest and greatest
-    #: part of the fast rows. A single repeated row is a wrong reading, and an output that is held in every second row
-    #: has its own remedy.
-    repeats_fewest: int = 5
+    #: Smallest and greatest part of the fast rows that repeat an output. An output that is held in every second row has
+    #: its own remedy.
     repeats_part: float = 0.005
     repeats_most: float = 0.5
     #: Smallest error of an old value [steps of the encoder]. A value with a smaller error is as good as a new value.
@@ -148,10 +128,8 @@ class RecordTuning:
     even_steps: float = 0.02
     #: Smallest part of the steps that differ from their neighbours on an uneven clock with gaps.
     resampling_often: float = 0.2
-    #: Number of standard errors for a decision whether stamps are the instants of the samples. `resampling_plain` is
-    #: the part of the rows in this test, because the other rows may be wrong readings.
+    #: Number of standard errors for a decision whether stamps are the instants of the samples.
     resampling_errors: float = 2.0
-    resampling_plain: float = 0.99
     #: Longest step in usual steps. A longer step is a gap without interpolation.
     longest_step: float = 3.5
     #: Part of the steps, the shortest ones, whose mean is the usual step.
@@ -160,14 +138,12 @@ class RecordTuning:
     #: length.
     most_missing: float = 2.0
     #: Part of the period within which the next sample follows at once, so that the input of the first sample acts for
-    #: no time. `resampling_fewest` is the smallest number of samples for a decision.
+    #: no time.
     resampling_at_once: float = 1e-3
-    resampling_fewest: int = 50
+
     # topics
-    #: Greatest part of the rows with both values if input and output have separate rows. `topics_fewest` is the
-    #: smallest number of rows for each.
+    #: Greatest part of the rows with both values if input and output have separate rows.
     most_together: float = 0.05
-    topics_fewest: int = 10
 
 
 TUNING = RecordTuning()

@@ -97,7 +97,7 @@ def trend_figure(found: History) -> Figure:
 def label_of(axis: str) -> str:
     """Return a short name for a figure, without control characters and formulas."""
     text = printable(axis).replace("\n", " ").replace("$", r"\$")
-    return text if len(text) <= TUNING.fleet_longest else f"{text[: TUNING.fleet_longest - 1]}…"
+    return text if len(text) <= TUNING.html_long else f"{text[: TUNING.html_long - 1]}…"
 
 
 def map_figure(found: History) -> Figure:
@@ -109,7 +109,7 @@ def map_figure(found: History) -> Figure:
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
     shown = found.periods.filter(found.periods["axis"].is_in(order))
-    edges = times[:: -(-times.size // TUNING.fleet_columns)]
+    edges = times[:: -(-times.size // TUNING.figures_points)]
     grid = np.full((len(order), edges.size), len(MAP) - 1)
     levels = {name: level for level, name in enumerate(MAP)}
     for axis, period, quality, findings in shown.select("axis", "period", "quality", "findings").iter_rows():
@@ -135,7 +135,7 @@ def _order(found: History) -> list[str]:
     rows = enumerate(found.axes.select("axis", "kind").iter_rows())
     ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
     notable = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
-    return [axis for *_, axis in ranked][: min(TUNING.fleet_rows, notable + TUNING.fleet_quiet)]
+    return [axis for *_, axis in ranked][: min(TUNING.fleet_listed, notable + TUNING.fleet_quiet)]
 
 
 def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> None:
@@ -292,7 +292,7 @@ def _map(found: History) -> Section | None:
         "colour of the verdict."
     )
     if found.axes.height > TUNING.fleet_quiet:
-        text += f" The other axes with the most doubtful periods follow, up to {TUNING.fleet_rows} rows in all."
+        text += f" The other axes with the most doubtful periods follow, up to {TUNING.fleet_listed} rows in all."
     return Section("Map of findings", text, figure=lambda: map_figure(found))
 
 

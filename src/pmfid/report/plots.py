@@ -81,7 +81,7 @@ def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
     theta = np.where(tracks.has_status(Status.STARTING)[..., None], np.nan, tracks.theta)
     with open_figure(0.9 + 1.9 * len(tracks.names), len(tracks.names), sharex=True) as (figure, panels):
         for i, (axes, name, unit) in enumerate(zip(panels, tracks.names, tracks.units, strict=True)):
-            for one in theta[: TUNING.plots_most_axes, :, i]:
+            for one in theta[: TUNING.fleet_listed, :, i]:
                 _line(axes, time, one, color=GREY, lw=0.6, alpha=0.6, marker="." if single else None)
             middle, marker = np.median(theta[..., i], axis=0), "o" if single else None
             _line(axes, time, middle, color=COLOURS[0], label="median of all axes", marker=marker)
@@ -111,7 +111,7 @@ class Drawing(Figure):
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
         with figure_style():
-            self.savefig(buffer, format="png", dpi=TUNING.plots_dpi)
+            self.savefig(buffer, format="png")
         return buffer.getvalue()
 
 

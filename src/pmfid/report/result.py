@@ -221,7 +221,7 @@ def bode_of(process: Process, dt: float) -> Figure:
         np.log10(np.min(corners)) - TUNING.result_decades,
         min(np.log10(np.max(corners)) + TUNING.result_decades, np.log10(nyquist)),
     )
-    w = np.logspace(low, max(high, low + TUNING.result_decades), TUNING.result_points)
+    w = np.logspace(low, max(high, low + TUNING.result_decades), TUNING.figures_points)
     G, magnitude, phase = process.frequency_response(w)
     size, angle = 20 * np.log10(np.abs(G)), np.unwrap(np.angle(G))
     with open_figure(5.0, 2, sharex=True) as (figure, (upper, lower)):
@@ -240,7 +240,7 @@ def step_figure(process: Process) -> Figure:
     speeds = np.abs(process.poles.real[process.poles != 0])
     fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time constant
     slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
-    t = np.linspace(0, TUNING.result_settling * slowest + 2 * process.delay, TUNING.result_points)
+    t = np.linspace(0, TUNING.result_settling * slowest + 2 * process.delay, TUNING.figures_points)
     y, std = process.step_response(t)
     with open_figure(2.6) as (figure, (axes,)):
         _draw_band(axes, t, y, 2 * std)

@@ -12,7 +12,8 @@ class ReportTuning:
     # figures
     max_points: int = 2000
     figures_width: float = 9.0
-    #: Width of a figure [inch], and number of points of a curve, on a phone.
+    #: Width of a figure [inch] on a phone, and number of points of a smooth curve, of a curve on a phone, and of
+    #: periods in a map.
     figures_phone: float = 4.5
     figures_points: int = 800
     #: Longest label of a legend with two columns, and longest line of the label of an axis on a phone.
@@ -20,20 +21,17 @@ class ReportTuning:
     figures_line: int = 48
 
     # fleet
-    #: Numbers of the map's rows and periods.
-    fleet_rows: int = 50
-    fleet_columns: int = 400
-    #: Numbers of drawn trends, of letters in a name, and of quiet rows for comparison in the map.
+    #: Numbers of drawn trends, and of quiet rows for comparison in the map.
     fleet_trends: int = 6
-    fleet_longest: int = 24
     fleet_quiet: int = 10
     #: Least length of a history [days] whose times have only dates as labels.
     fleet_dates: float = 2.0
-    #: Largest number of rows in a table. Files next to the report have all axes and problems.
+    #: Largest number of rows in a table or a map, and of axes that are drawn individually. Files next to the report
+    #: have all axes and problems.
     fleet_listed: int = 50
 
     # html
-    #: Number of letters from which a cell may be broken into several lines.
+    #: Number of letters of a name in a figure, and of a cell from which it may be broken into several lines.
     html_long: int = 24
 
     # monitored
@@ -41,17 +39,10 @@ class ReportTuning:
     #: Largest number of rows in the figures.
     monitored_rows: int = 8000
 
-    # plots
-    #: Number of axes of a fleet that are drawn individually.
-    plots_most_axes: int = 50
-    #: Resolution of a figure in a notebook, at which 9 inches are 900 pixels.
-    plots_dpi: int = 100
-
-    # Decades of frequency below the slowest and above the fastest corner, and time constants in a step response.
+    # result
     #: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
     result_decades: float = 1.0
     result_settling: float = 8.0
-    result_points: int = 400
     #: Number of structures in the table of a search.
     result_rows: int = 15
 

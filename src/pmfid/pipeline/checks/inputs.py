@@ -79,6 +79,6 @@ def _varies(u: Floats) -> bool:
 def _piles_up(u: Floats, limit: float) -> bool:
     """Return whether the input is at the limit far more often than at neighbouring values."""
     values, times = np.unique(u, return_counts=True)
-    neighbours = np.argsort(np.abs(values - limit))[1 : TUNING.inputs_neighbours + 1]
+    neighbours = np.argsort(np.abs(values - limit))[1 : TUNING.inputs_levels + 1]
     at_limit = int(times[values == limit][0])
     return at_limit >= TUNING.at_limit * u.size and at_limit > TUNING.inputs_piled * float(np.mean(times[neighbours]))

@@ -11,6 +11,7 @@ from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, hasty
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.tuning import TUNING
+from pmfid.records.tuning import TUNING as RECORD_TUNING
 
 
 def too_slow(log: CheckedLog) -> Iterator[Finding]:
@@ -57,8 +58,8 @@ def odd_period(log: CheckedLog) -> Iterator[Finding]:
         return
     hurry = hasty(np.diff(log.known.counts))
     per_row = counts_per_sample(log.known.counts)
-    slow = dt >= TUNING.axis_file_longest and dt > TUNING.timing_slowest * hurry
-    fast = dt < TUNING.axis_file_shortest and dt < TUNING.timing_fastest * hurry and per_row >= 1
+    slow = dt >= RECORD_TUNING.longest_plain_period and dt > TUNING.timing_slowest * hurry
+    fast = dt < RECORD_TUNING.shortest_plain_period and dt < TUNING.timing_fastest * hurry and per_row >= 1
     if not (hurry > 0 and (slow or fast)):
         return
     yield Finding(

@@ -15,6 +15,7 @@ from pmfid.encoder import Encoder
 from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.stretches import liveliest
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.pipeline.known import set_any_gain
 from pmfid.pipeline.tuning import TUNING
@@ -138,7 +139,7 @@ def best_view(
 
     The function considers only views whose motion lasts for more than `lasting` time constants.
     """
-    views = [view(u, counts, encoder, dt, time, model) for time in TUNING.times]
+    views = [view(u, counts, encoder, dt, time, model) for time in ESTIMATOR_TUNING.cutoff_tried]
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
     return min(seen, key=lambda one: one.unexplained) if seen else None
@@ -207,7 +208,7 @@ def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: flo
     theta = solve_least_squares(view.phi[keep], view.z[keep])
     if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
         return set()
-    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > TUNING.view_far * resolution}
+    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > TUNING.readings_fewest * resolution}
 
 
 def _moves(force: Floats, theta: Floats, dt: float) -> float:
@@ -218,7 +219,7 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
         above = sign * (force - load) - TUNING.view_held * theta[COULOMB]
         breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
         for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
-            time = dt * max(0, last - first - TUNING.view_late)
+            time = dt * max(0, last - first - TUNING.shortest_stop)
             push = float(np.mean(above[first:last]))
             fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
             moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))

@@ -22,6 +22,7 @@ from pmfid.pipeline.guess.verdicts import describe_doubt, explain_refusal
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import UNITS, drop_repeats, even_grid, is_rounded, named_unit
 from pmfid.records.outliers import wrap_of
+from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 
@@ -220,7 +221,9 @@ def _clock(stamps: Stamps | None, ask: Ask | None) -> GuessedClock:
     if stamps.written or unit:
         return GuessedClock(name, "", "", step * (1.0 if stamps.written else UNITS[unit or "s"]))
     fitting = [
-        unit for unit, length in UNITS.items() if TUNING.axis_file_shortest <= step * length <= TUNING.axis_file_longest
+        unit
+        for unit, length in UNITS.items()
+        if RECORD_TUNING.shortest_plain_period <= step * length <= RECORD_TUNING.longest_plain_period
     ]
     if "s" in fitting or not fitting:
         return GuessedClock(name, "", "", step)

@@ -25,7 +25,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
     Steps up to a billionth of the range are rounding, and a log may have rounded each value to a number of decimals.
     Without a common step, the function returns the range divided by columns_fine.
     """
-    found = np.unique(values[: TUNING.columns_most])
+    found = np.unique(values[: RECORD_TUNING.record_distinct])
     reach = float(np.ptp(found))
     if reach == 0:
         return 1.0, False
@@ -40,7 +40,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
     exact = steps / step < TUNING.columns_exact / 1e-6
     rounded = rounding_of(found) / step
     allowed = max(TUNING.columns_exact, 1.01 * rounded if rounded < TUNING.most_rounded else 0.0)
-    if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.columns_part and reach / step < TUNING.columns_fine:
+    if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.in_step and reach / step < TUNING.columns_fine:
         return _round_step(*_fit_step(found, step)), True
     return max(reach / TUNING.columns_fine, _last_digit(found)), False
 

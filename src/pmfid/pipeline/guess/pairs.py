@@ -115,7 +115,7 @@ def _other_joint(best: Pair, other: Pair) -> bool:
 
 def _is_copy(best: Pair, other: Pair, columns: Mapping[str, Floats]) -> bool:
     """Return whether two pairs have the same input and output, or copies of them, or the velocity of the output."""
-    if best.score - other.score > TUNING.pairs_negligible:
+    if best.score - other.score > TUNING.pairs_certain:
         return best is other
     driving = best.input == other.input or _compare(columns[best.input], columns[other.input]).alike
     moving = best.output == other.output or _compare(columns[best.output], columns[other.output]).alike
@@ -132,7 +132,7 @@ def _why_no_output(name: str) -> str:
     evidence = evidence_of(name)
     if evidence.commanded and evidence.role == "other":
         return "a set point"
-    clear = evidence.lean(*MOTION) <= -TUNING.pairs_likely
+    clear = evidence.lean(*MOTION) <= -TUNING.pairs_nothing
     return {"input": "an input", "other": "another quantity", "acceleration": "an acceleration"}.get(
         evidence.role if clear else "", ""
     )
@@ -141,7 +141,7 @@ def _why_no_output(name: str) -> str:
 def _may_drive(name: str) -> bool:
     """Return whether a column may be an input by its name."""
     evidence = evidence_of(name)
-    return evidence.role not in ("other", "acceleration", "time") or evidence.lean("input") > -TUNING.pairs_likely
+    return evidence.role not in ("other", "acceleration", "time") or evidence.lean("input") > -TUNING.pairs_nothing
 
 
 def _travels(name: str, outputs: list[str], columns: Mapping[str, Floats]) -> bool:
@@ -271,7 +271,7 @@ def _cost(view: View) -> float:
     """Return the unexplained part of a reading, or 1 without a significant mass. A velocity would always explain
     its own column.
     """
-    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.columns_significant else 1.0
+    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.readings_certain else 1.0
 
 
 def _whole(name: str, output: Floats, kind: str) -> str:

@@ -31,7 +31,7 @@ class Likeness:
     @property
     def set_point(self) -> bool:
         """Whether one column is the set point of the other: their gain is 1, with a delay and without an offset."""
-        near = abs(self.gain - 1) < TUNING.relations_gain and self.left < TUNING.relations_follows
+        near = abs(self.gain - 1) < TUNING.relations_copy and self.left < TUNING.relations_follows
         return near and abs(self.offset) < TUNING.relations_follows
 
 

@@ -132,14 +132,14 @@ def evidence_of(name: str) -> NameEvidence:
     if output is not None or driven is not None:
         measured: Role = "input" if output is None else _MEASURED[output.of]
         analog = driven is not None and driven.of in ("voltage", "ratio")
-        weights[measured] = max(weights.get(measured, 0.0), TUNING.roles_analog if analog else TUNING.roles_unit)
+        weights[measured] = max(weights.get(measured, 0.0), TUNING.roles_analog if analog else TUNING.pairs_certain)
     elif unit := named_unit(name):
         bare = name.strip()[-2:-1] in "_ ." and unit == "s"
         weights["time"] = weights.get("time", 0.0) + (1.0 if bare else 3.0)
     elif _COUNTED.match(inside):
         weights["counts"] = max(weights.get("counts", 0.0), 4.0)
     elif _FOREIGN.match(inside):
-        weights["other"] = TUNING.roles_unit
+        weights["other"] = TUNING.pairs_certain
     pair = re.fullmatch(r"[a-z]_d", name.strip().lower())
     commanded = bool(pair) and name.strip().lower()[0] in "qxyvw"
     commanded |= any(word in _COMMANDED.split() for word in words)

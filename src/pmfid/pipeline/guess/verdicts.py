@@ -73,4 +73,4 @@ def _options(pair: Pair) -> str:
 
 def _shorten(parts: Sequence[str]) -> str:
     text = ", ".join(parts)
-    return text if len(text) <= TUNING.axis_file_listed else f"{text[: TUNING.axis_file_listed].rpartition(' ')[0]} ..."
+    return text if len(text) <= TUNING.longest_text else f"{text[: TUNING.longest_text].rpartition(' ')[0]} ..."
