@@ -127,7 +127,7 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
         assert str(result) == sentences[0]  # the check reports all other faults
         return
     assert [note for note in result.notes if note in sentences] == sentences
-    shown = result.to_json()
+    shown = result.to_dict()
     assert [finding.to_json() for finding in found_in(fault)] == [
         one for one in shown["findings"] if f"{one['sentence']}: {one['remedy']}" in sentences
     ]

@@ -60,7 +60,7 @@ class Cart:
 def cart(tmp_path_factory: pytest.TempPathFactory) -> Cart:
     folder = tmp_path_factory.mktemp("cart")
     csv, parquet, mat = (folder / f"cart.{kind}" for kind in ("csv", "parquet", "mat"))
-    write_csv(make_scenario("prbs", seed=1), csv)
+    write_csv(make_scenario("prbs", seed=1, duration=10.0), csv)
     frame = pl.read_csv(csv)
     frame.write_parquet(parquet)
     scipy.io.savemat(mat, {name: frame[name].to_numpy() for name in frame.columns})
@@ -143,7 +143,7 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
     whole: bytes = getattr(cart, kind).read_bytes()
     record.write_bytes(whole[: whole.rindex(b",") if kind == "csv" else len(whole) // 2])
     if kind == "csv":  # CSV has no end mark, so that only its last row can be incomplete
-        assert good(record)["samples"] == 2999
+        assert good(record)["samples"] == 999
     else:
         assert "truncated or corrupt" in bad(record)
 
@@ -242,7 +242,7 @@ MISLEADING: dict[str, Callable[[pl.DataFrame], pl.DataFrame]] = {
 @pytest.mark.parametrize(
     ("kind", "method"),
     long_unless(
-        lambda kind, method: method == "bcls" or (kind, method) in {("unrelated", "auto"), ("long ago", "fit")},
+        lambda kind, method: method == "bcls" or (kind, method) == ("long ago", "fit"),
         [(kind, method) for kind in MISLEADING for method in METHODS],
     ),
 )
@@ -296,7 +296,7 @@ def test_every_method_finds_the_cart(found: Callable[[str], dict[str, Any]], met
 
 def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
     printed = good(cart.csv)
-    assert (printed["model"], printed["method"], printed["samples"]) == ("drive", "riv", 3000)
+    assert (printed["model"], printed["method"], printed["samples"]) == ("drive", "riv", 1000)
     assert printed["dt"] == pytest.approx(CART_DT, rel=1e-12)
     units = {name: entry["unit"] for name, entry in printed["parameters"].items()}
     assert units == {"mass": "kg", "viscous_friction": "N s/m", "coulomb_friction": "N"}
@@ -331,7 +331,7 @@ def test_out_writes_the_report_the_numbers_and_the_track(
     if track:
         last = pl.read_parquet(out / "track.parquet").row(-1, named=True)
         assert {name: last[name] for name in TRUTH} == values(printed)
-        assert last["t"] == pytest.approx(29.99)
+        assert last["t"] == pytest.approx(9.99)
 
 
 def test_the_table_shows_what_the_json_says(tmp_path: Path, cart: Cart) -> None:

@@ -135,7 +135,7 @@ def test_an_input_of_one_level_does_not_show_the_amplifier(u: Floats, level: str
     sentence = f"all parameters scale with the gain at the input {level.rstrip('.')}"
     assert sentence[:-2] in notes[0].sentence
     assert found.status == ()
-    for text in (str(found), str(found.to_json()["notes"])):
+    for text in (str(found), str(found.to_dict()["notes"])):
         assert notes[0].sentence in text
     write_result(tmp_path, found)
     assert notes[0].sentence in (tmp_path / "report.html").read_text("utf-8")

@@ -87,6 +87,7 @@ def run(truth: dict[str, float], noise: float = 0.0, seed: int = 0) -> DesignedR
     return DesignedRun(motion.u, y, CASE.dt)
 
 
+@pytest.mark.long
 def test_the_scatter_is_that_of_the_information() -> None:
     noise = np.sqrt(CASE.variance)
     errors = []

@@ -49,5 +49,5 @@ def test_an_unstable_process_is_named():
     found = identified(record, model__n=1, estimator__method="ls")
     assert found.process.poles.real == pytest.approx([1.0], rel=0.02)
     assert found.fit is None
-    assert found.to_json()["fit"] is None
+    assert found.to_dict()["fit"] is None
     assert "unstable" in found.status

@@ -130,8 +130,8 @@ def test_from_toml_to_a_result(tmp_path, known):
     record = Record(run.u, run.counts, CART_DT, run.encoder.resolution, (), "run")
     result = identify(record, axis_of(tmp_path, text))
     truth = dict(zip(("inertia", "drag", "dry_friction"), TRUTH, strict=True))
-    parameters = result.to_json()["parameters"]
-    assert result.to_json()["model"] == "equation"
+    parameters = result.to_dict()["parameters"]
+    assert result.to_dict()["model"] == "equation"
     for name, entry in parameters.items():
         assert entry["value"] == pytest.approx(truth[name], rel=0.01)
     assert ("inertia" in parameters) == (not known)

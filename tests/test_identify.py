@@ -58,7 +58,7 @@ def test_arrays_give_what_the_command_gives(
 ) -> None:
     run = cart_run(5, samples=800)
     result = identified(run, pmfid.Drive(2.0), **settings)
-    assert result.to_json() == by_command(tmp_path, run, *options)
+    assert result.to_dict() == by_command(tmp_path, run, *options)
     assert isinstance(result, pmfid.Result)
     assert result["mass"] == pytest.approx(1.07, rel=0.02)
 

@@ -34,11 +34,11 @@ from studies.real_axes import axis as axis_of
 from tests.conftest import cart_run, long_unless, unjudged
 
 #: Machines that are not in the study: an indexing table, 0.3 kg m2, and a lift of 120 kg.
-TABLE = Axis(DriveParameters(0.3, 1.1, 0.5, 2.0), 0.004, 4000, 2.0, 15, _control(60, 6, 12), 1.2, 0.5, 0.25, 3e-4, 0.05)
+TABLE = Axis(DriveParameters(0.3, 1.1, 0.5, 2.0), 0.004, 2000, 2.0, 15, _control(60, 6, 12), 1.2, 0.5, 0.25, 3e-4, 0.05)
 LIFT = Axis(
     DriveParameters(120.0, 400.0, 40.0, 10.0),
     0.005,
-    4000,
+    2000,
     25.0,
     20,
     _control(3000, 500, 120),
@@ -93,7 +93,7 @@ def result() -> DriveResult:
 
 
 def test_json_has_it_next_to_what_it_had(result: DriveResult) -> None:
-    printed = json.loads(json.dumps(result.to_json(), allow_nan=False))["parameters"]["mass"]
+    printed = json.loads(json.dumps(result.to_dict(), allow_nan=False))["parameters"]["mass"]
     assert list(printed) == ["value", "std", "unit", "model_spread", "interval_95"]
     std, spread = (float(bar[0]) for bar in bars(result))
     half = NORMAL_95 * np.hypot(std, spread)

@@ -153,7 +153,7 @@ def test_a_rotary_axis_has_its_units_everywhere(tmp_path: Path) -> None:
     linear = axis("y")
     expected = identify(read_record(logged(tmp_path, "y"), linear), linear)
     np.testing.assert_allclose(result.theta, expected.theta, rtol=1e-9)
-    assert result.to_json()["parameters"]["inertia"]["unit"] == "kg m2"  # type: ignore[index]
+    assert result.to_dict()["parameters"]["inertia"]["unit"] == "kg m2"  # type: ignore[index]
 
 
 @pytest.mark.parametrize("friction", ["symmetric", "directional"])

@@ -93,8 +93,8 @@ def test_python_gives_what_the_command_gives(tmp_path: Path) -> None:
     result = pmfid.identify(
         train.u, train.counts, model=pmfid.Drive(1.5), encoder=train.encoder, dt=DT, cutoff=60.0, method="iv"
     )
-    found = pmfid.validate(result, other.u, other.counts).to_json()
-    printed = json.loads(run_command(*files(tmp_path, result.to_json()), "--json").stdout)
+    found = pmfid.validate(result, other.u, other.counts).to_dict()
+    printed = json.loads(run_command(*files(tmp_path, result.to_dict()), "--json").stdout)
     assert found["records"][0] | {"record": "run1.csv"} == printed["records"][0]
     assert found["parameters"] == printed["parameters"]
     finer = pmfid.validate(result, other.u, other.counts * 10, encoder=pmfid.Encoder(STEP / 10), dt=DT)
@@ -140,7 +140,7 @@ def test_a_transfer_function_predicts_other_records_gaps_included(tmp_path: Path
         assert run.fit > 95
         assert run.encoder is None
         assert run.horizons
-    found.to_json()
+    found.to_dict()
 
 
 def changed(**parts: object) -> dict[str, object]:

@@ -126,7 +126,7 @@ def identify(
 
             write_result(out, result)
     if as_json:
-        print_json(result.to_json())
+        print_json(result.to_dict())
     else:
         print_result(result, out)
 

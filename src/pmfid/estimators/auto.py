@@ -12,27 +12,23 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import BCLS, LS
-from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import BCRLS
 
 AUTO = "auto"
 
 
 def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: float) -> tuple[Estimator, str]:
-    """Return the best method that a record allows, and a line with the reason; u, counts: (n,).
+    """Return the best method that a record allows where the fit is none, and a line with the reason; u, counts: (n,).
 
-    The fit of the motion is the first choice. With a memory, the method is recursive instrumental variables, which fall
-    back on BCRLS by themselves. An equation without a simulated motion has the compensated or plain least squares.
+    With a memory, the method is recursive instrumental variables, which fall back on BCRLS by themselves. An equation
+    without a simulated motion has the compensated or plain least squares.
     Raises NotIdentifiableError if no method can identify every parameter of such an equation.
     """
-    simulates = not configured.equation.without_simulation
-    if forgetting < 1 and simulates:
+    if forgetting < 1 and not configured.equation.without_simulation:
         return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: the parameters may change"
     if forgetting < 1:
         reason = "bcrls: the parameters may change, and the equation allows no simulated motion"
         return like(BCRLS, configured, forgetting=forgetting), reason
-    if simulates:
-        return like(MotionFit, configured, prefilter_zeros=None), "fit: the whole motion depends least on the encoder"
     zeros = choose_prefilter_zeros(configured, u, counts)
     compensated = like(BCLS, configured, model=configured.model.simple, prefilter_zeros=zeros)
     with suppress(NotIdentifiableError):

@@ -336,7 +336,7 @@ class Estimator:
     @property
     def settle_samples(self) -> int:
         constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
-        return math.ceil(constants / max(self.cutoff * self.dt, np.finfo(float).tiny)) + 3
+        return math.ceil(constants / max(self.cutoff * self.dt, 1 / TUNING.max_settle_samples)) + 3
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0

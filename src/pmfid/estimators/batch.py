@@ -70,7 +70,7 @@ def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
     """
     for name, column in zip(names, columns.phi.T, strict=True):
         norm = float(np.linalg.norm(column))
-        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, np.finfo(float).tiny))
+        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, 1 / TUNING.beyond))
         if norm > 0 and apart < TUNING.target_apart * np.linalg.norm(columns.z):
             raise NotIdentifiableError(
                 f"the input is proportional to the regressor of {name} all the time: the excitation is too "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,7 +18,6 @@ from pmfid.estimators.least_squares import inverse_of, solve_bounded, solve_with
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.recursive import RecursiveEstimator, impulse_products
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
@@ -94,9 +92,6 @@ class IV(BatchEstimator, Simulating):
     def settle_iteration(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
         """Return the columns of the last iteration and theta (p,), as `fit` without the covariance. Raises the errors
         of `fit`."""
-        if np.size(u) > TUNING.stretch and self.steps is None:
-            with suppress(NotIdentifiableError):
-                return self._settle_from_stretch(*check_arrays(u, counts))
         theta = self.start(u, counts)
         for turn in range(TUNING.instruments_max_iterations):
             columns = self.columns_at(theta, u, counts)
@@ -114,31 +109,6 @@ class IV(BatchEstimator, Simulating):
             f"{dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the simulated motion does "
             "not follow the measured motion; check input_gain and the model, or in Python give `initial`"
         )
-
-    def _settle_from_stretch(
-        self, u: NDArray[np.float64], counts: NDArray[np.int64]
-    ) -> tuple[Columns, NDArray[np.float64]]:
-        """Return the result of `settle_iteration` for a long record, by the method of Broyden (1965).
-
-        The iteration starts from the liveliest stretch, with the gain of that stretch. Raises NotIdentifiableError also
-        if a few turns do not settle.
-        """
-        part = liveliest(self.encoder.position(counts), TUNING.stretch)
-        columns, theta = self.settle_iteration(u[part], counts[part])
-        gain = self._gain(columns, theta, u[part], counts[part]) * columns.z.size
-        score, step = np.zeros(theta.size), np.zeros(theta.size)
-        for turn in range(TUNING.stretch_turns):
-            columns = self.columns_at(theta, u, counts)
-            check_identifiable(columns, self.names, simulated=True)
-            last, score = score, columns.zeta.T @ (columns.z - columns.phi @ theta) / columns.z.size
-            if turn > 0:
-                expected = gain @ (last - score)
-                gain += np.outer(step - expected, step @ gain) / (step @ expected)
-            before, theta = theta, self._plausible(theta, theta + gain @ score)
-            step = theta - before
-            if _measure_change(columns, before, theta) <= TUNING.instruments_tolerance:
-                return columns, theta
-        raise NotIdentifiableError("the iteration does not converge on a part of the record")
 
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
@@ -302,7 +272,7 @@ def _measure_change(columns: Columns, before: NDArray[np.float64], theta: NDArra
     small = (
         TUNING.instruments_small
         * np.linalg.norm(columns.z)
-        / np.maximum(np.linalg.norm(columns.phi, axis=0), np.finfo(float).tiny)
+        / np.maximum(np.linalg.norm(columns.phi, axis=0), 1 / TUNING.beyond)
     )
     size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
     return float(np.max(np.abs(theta - before) / size))

@@ -10,14 +10,13 @@ from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import check_arrays, like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
-from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.estimators.results import Fit, Track, join_tracks
+from pmfid.estimators.results import Fit, Track
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Drive
 from pmfid.presentation import Parameters, Presentable, PresentableParameters, Summary, remarks_of
@@ -204,10 +203,9 @@ class Known:
 
     Notes
     -----
-    `combine` takes a fit or the estimate of one step, and `run` takes the samples of a recursive method. A prior counts
-    once, for records of any length. For an estimator with a memory, the prior holds at every time. The weight of a
-    prior
-    follows from the estimate's error bars.
+    `combine` takes a fit or the estimate of one step, and `track` takes a part of the track of a recursive method. A
+    prior counts once, for records of any length. For an estimator with a memory, the prior holds at every time. The
+    weight of a prior follows from the estimate's error bars.
 
     Examples
     --------
@@ -368,15 +366,6 @@ class Known:
         unknown = ~np.all(np.isfinite(theta) & np.isfinite(errors), axis=1)
         errors[unknown], theta[unknown] = np.inf, 0.0
         return track.with_bars(self.names, self.units, theta, errors)
-
-    def run(self, estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Track:
-        """Run the samples u and counts (n,) through a recursive estimator, and return the combined track."""
-        u, counts = check_arrays(u, counts)
-        parts = []
-        for start in range(0, max(1, u.size), TUNING.known_piece):
-            part = estimator.run(u[start : start + TUNING.known_piece], counts[start : start + TUNING.known_piece])
-            parts.append(self.track(part, estimator.estimate))
-        return join_tracks(parts)
 
 
 def choose_naming(estimator: Estimator, known: Known | None) -> Estimator | Known:

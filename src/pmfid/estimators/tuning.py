@@ -142,8 +142,6 @@ class EstimatorTuning:
     #: liveliest stretch of this length where any part of it gives the same answer. The same number of samples chooses
     #: the pole of the first filters of srivc.
     stretch: int = 20_000
-    #: Turns of the iteration on a long record from the estimate of a stretch.
-    stretch_turns: int = 12
 
     # edges
     #: Largest relative excess of an age over the step of the clock.

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pmfid.config.axis import Axis, check_sampling
 from pmfid.diagnostics.free_run import FreeRun, drive_run
 from pmfid.diagnostics.verdict import Verdict, verdict
-from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, choose
 from pmfid.estimators.base import Estimator, Simulating
@@ -28,16 +27,13 @@ from pmfid.estimators.ls import LS
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Track, join_tracks
-from pmfid.estimators.stretches import gaps_in, liveliest, parts_of
+from pmfid.estimators.stretches import gaps_in, parts_of
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
 from pmfid.io.tables import Table
-from pmfid.models.drive import EquationModel
-from pmfid.models.equation import Equation
 from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.inputs import note_one_level
-from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
 from pmfid.pipeline.fitted import identify_by_fit, make_fit, uses_fit
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
@@ -52,50 +48,6 @@ from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
-
-
-def check_direction(record: Record, axis: Axis) -> str:
-    """Describe the mistake in a first-order equation with a friction direction whose output is a velocity.
-
-    The text is empty for any other equation. The kernel takes the direction from the change of the output. If the
-    output is a velocity, the change has the direction of the acceleration, which is wrong for friction.
-    """
-    model, config = axis.model.make(), axis.estimator
-    above = _integrate_equation(model.equation)
-    if above is None or not np.any(np.diff(record.counts)):
-        return ""
-    part = liveliest(record.counts, TUNING.view_most_samples)
-    u, counts = record.u[part], record.counts[part]
-    encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
-    finer, position = convert_velocity(counts, record.resolution, record.dt)
-    try:
-        plain = LS(model, encoder, record.dt, config.pole, order=config.order).fit(u, counts).relative_error
-        risen = IV(EquationModel(above), finer, record.dt, config.pole, order=config.order).fit(u, position)
-    except (NotIdentifiableError, UsageError):
-        return ""
-    if not risen.relative_error < TUNING.drives_better * plain:
-        return ""
-    return (
-        f"[model] takes the direction of motion from the change of the output, but {axis.record.output!r} is a "
-        "velocity. With the direction of this velocity, the part that the equation leaves unexplained falls from "
-        f"{100 * plain:.2g} % to {100 * risen.relative_error:.2g} %: {INTEGRATE}, and raise every derivative of the "
-        "output by one"
-    )
-
-
-def _integrate_equation(equation: Equation) -> Equation | None:
-    """Return an equation of first order with the output replaced by its integral, or None for any other equation."""
-    terms = (*equation.unknown, *equation.known)
-    if equation.order != 1 or any(term.facts.measured and term.facts.one_way for term in terms):
-        return None
-    if not any(term.facts.of_motion for term in terms):
-        return None
-    unknown, known = (
-        tuple(replace(term, derivative=term.derivative + (term.signal == "output")) for term in side)
-        for side in (equation.unknown, equation.known)
-    )
-    above = Equation(unknown, known)
-    return None if above.without_simulation else above
 
 
 class Drives(Kind[Record]):
@@ -127,12 +79,6 @@ class Drives(Kind[Record]):
 
     def settle_axis(self, data: Record, axis: Axis) -> Axis:
         return match_kind(data, axis) if uses_fit(axis) else self.prepare_axis(data, axis)
-
-    def check(self, data: Record, axis: Axis) -> None:
-        axis = set_any_gain(axis)
-        mistake = check_direction(repair_as_configured(make_even(data), axis).record, axis)
-        if mistake:
-            raise UsageError(mistake)
 
     def check_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
         return checks.check_record(data, axis) or repair_as_configured(data, axis).findings

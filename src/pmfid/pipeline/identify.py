@@ -57,7 +57,6 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     """
     kind, given = kind_of(axis), axis
     axis = kind.settle_axis(data, given)
-    kind.check(data, axis)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:

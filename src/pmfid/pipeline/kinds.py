@@ -84,9 +84,6 @@ class Kind(ABC, Generic[Data]):
         """Return the unit of the output, or an empty text if the user defines it."""
         return ""
 
-    def check(self, data: Data, axis: Axis) -> None:
-        """Raise UsageError for a mistake that makes every estimate wrong."""
-
     def check_on_line(self, axis: Axis) -> None:
         """Raise UsageError for settings that a drive cannot follow sample by sample."""
 

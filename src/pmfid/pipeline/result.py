@@ -185,7 +185,7 @@ class Result(Presentable, Judged):
 
     @abstractmethod
     def particulars(self) -> dict[str, object]:
-        """The entries of `to_json` that belong only to the present kind of result."""
+        """The entries of `to_dict` that belong only to the present kind of result."""
 
     def __getitem__(self, name: str) -> float:
         """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
@@ -225,10 +225,6 @@ class Result(Presentable, Judged):
         low, high = self.interval_95.T
         return columns | spread | {"low": low, "high": high}
 
-    def to_dict(self) -> dict[str, object]:
-        """Return the object that `--json` prints, as plain values."""
-        return plain_dict(self.to_json())
-
     def _list_interval_lines(self) -> list[str]:
         """Return one line for each parameter with a known interval."""
         kind, spreads = "95 %", [""] * len(self.names)
@@ -240,38 +236,28 @@ class Result(Presentable, Judged):
             f"{kind}: {name} {low:.6g} to {high:.6g}{spread}" for name, (low, high), spread in rows if np.isfinite(low)
         ]
 
-    def _describe_intervals(self) -> dict[str, dict[str, object]]:
-        """Return the entries of `to_json` on intervals by parameter. An unknown interval or spread is null."""
-        entries: dict[str, dict[str, object]] = {
-            name: {"interval_95": interval.tolist() if np.all(np.isfinite(interval)) else None}
-            for name, interval in zip(self.names, self.interval_95, strict=True)
-        }
-        if self.model_spread is None:
-            return entries
-        spreads = [spread if np.isfinite(spread) else None for spread in self.model_spread.tolist()]
-        rows = zip(entries.items(), spreads, strict=True)
-        return {name: {"model_spread": spread} | entry for (name, entry), spread in rows}
-
-    def to_json(self) -> dict[str, object]:
-        """Return the object that `--json` prints."""
-        estimator = self.estimator
-        rows = zip(self.names, self.units, self.theta, self.theta_std, strict=True)
-        further = self._describe_intervals()
-        return {
-            "model": estimator.model.kind,
-            "method": estimator.method,
-            "samples": self.samples,
-            "dt": estimator.dt,
-            "cutoff": estimator.cutoff,
-            "parameters": {
-                name: {"value": float(value), "std": float(std), "unit": unit, **further[name]}
-                for name, unit, value, std in rows
-            },
-            **self.particulars(),
-            "status": list(self.status),
-            "notes": list(self.notes),
-            "findings": [finding.to_json() for finding in self.findings],
-        }
+    def to_dict(self) -> dict[str, object]:
+        """Return the object that `--json` prints. An unknown interval or spread is None."""
+        estimator, parameters = self.estimator, dict[str, dict[str, object]]()
+        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            spread = {} if self.model_spread is None else {"model_spread": self.model_spread[k]}
+            interval = self.interval_95[k] if np.all(np.isfinite(self.interval_95[k])) else None
+            parameters[name] = {"value": self.theta[k], "std": self.theta_std[k], "unit": unit, **spread}
+            parameters[name]["interval_95"] = interval
+        return plain_dict(
+            {
+                "model": estimator.model.kind,
+                "method": estimator.method,
+                "samples": self.samples,
+                "dt": estimator.dt,
+                "cutoff": estimator.cutoff,
+                "parameters": parameters,
+                **self.particulars(),
+                "status": self.status,
+                "notes": self.notes,
+                "findings": [finding.to_json() for finding in self.findings],
+            }
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -357,14 +343,13 @@ class DriveResult(Result):
     def particulars(self) -> dict[str, object]:
         beforehand: dict[str, object] = {}
         if self.known is not None:
-            priors = {name: list(pair) for name, pair in self.known.prior.items()}
-            beforehand = {"given": dict(self.known.given), "prior": priors}
+            beforehand = {"given": self.known.given, "prior": self.known.prior}
         return {
             "equation": self.estimator.equation.text,
             "input_gain": self.estimator.equation.input_gain,
             "fit": {"relative_error": self.relative_error},
             **({} if self.coupling is None else {"coupling": self.coupling.to_json()}),
-            "prefilter_zeros": list(self.estimator.zeros),
+            "prefilter_zeros": self.estimator.zeros,
             **beforehand,
         }
 
@@ -406,17 +391,17 @@ class ProcessResult(Result):
         return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
 
     def particulars(self) -> dict[str, object]:
-        """Entries of `to_json` for a transfer function, with poles and zeros as [real, imaginary], and the fit [%]."""
+        """Entries of `to_dict` for a transfer function, with poles and zeros as [real, imaginary], and the fit [%]."""
         process, checks = self.process, self.assessment
         return {
             "records": [experiment.name for experiment in self.experiments],
             "delay": self.delay,
             "dead_time": process.delay,
             **dict(zip(self.estimator.names, self.theta.tolist(), strict=True)),
-            "poles": [[pole.real, pole.imag] for pole in process.poles.tolist()],
-            "zeros": [[zero.real, zero.imag] for zero in process.zeros.tolist()],
-            "gain": process.gain if np.isfinite(process.gain) else None,
-            "time_constants": [tau if np.isfinite(tau) else None for tau in process.time_constants.tolist()],
+            "poles": process.poles.astype(complex),
+            "zeros": process.zeros.astype(complex),
+            "gain": process.gain,
+            "time_constants": process.time_constants,
             "fit": self.fit,
             "residual": {"white": checks.white, "independent": checks.independent, "feedback": checks.feedback},
         }

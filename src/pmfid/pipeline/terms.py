@@ -197,18 +197,20 @@ class TermSearch(Presentable):
         names = [name for name in self.first.names if name in self.result.names]
         return {name: float(self.first[name] / self.result[name] - 1) for name in names}
 
-    def to_json(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, object]:
         """Return the object that `--json` prints."""
-        return {
-            "record": self.name,
-            "model": list(self.lines),
-            "added": self.added,
-            "sentence": self.sentence,
-            "terms": [row.to_json() for row in self.rows],
-            "result": self.result.to_json(),
-            "status": list(self.status),
-            "notes": list(self.notes),
-        }
+        return plain_dict(
+            {
+                "record": self.name,
+                "model": self.lines,
+                "added": self.added,
+                "sentence": self.sentence,
+                "terms": [row.to_json() for row in self.rows],
+                "result": self.result.to_dict(),
+                "status": self.status,
+                "notes": self.notes,
+            }
+        )
 
     def summary(self) -> Summary:
         header, rows = term_rows([row for row in self.rows if row.chosen])
@@ -222,10 +224,6 @@ class TermSearch(Presentable):
         rows = [(row.words, row.chosen, row.log_odds, *value) for row in self.rows for value in row.values]
         names = ("term", "chosen", "log_odds", "value", "std", "unit")
         return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the object that `--json` prints, as plain values."""
-        return plain_dict(self.to_json())
 
 
 def term_rows(rows: Sequence[TermRow]) -> tuple[list[str], list[list[str]]]:

@@ -90,8 +90,6 @@ class PipelineTuning:
     view_most_samples: int = 8000
 
     # drives
-    #: Largest ratio of the unexplained part after integration to the unexplained part before integration.
-    drives_better: float = 0.5
     drives_chunk: int = 100_000
     #: Greatest part of the motion that a valid simulation leaves unexplained.
     drives_followed: float = 0.2

@@ -68,18 +68,20 @@ class Validation(Presentable, Judged):
         own = (note for run in self.runs for note in (*run.notes, *_remarks(run)))
         return tuple(dict.fromkeys((*own, *texts(self.findings))))
 
-    def to_json(self) -> dict[str, object]:
+    def to_dict(self) -> dict[str, object]:
         """Return the object that `--json` prints."""
-        rows = zip(self.names, self.units, self.theta.tolist(), strict=True)
-        return {
-            "model": self.kind,
-            "method": self.method,
-            "parameters": {name: {"value": value, "unit": unit} for name, unit, value in rows},
-            "unit": self.unit,
-            "records": [_as_json(run) for run in self.runs],
-            "status": list(self.status),
-            "notes": list(self.notes),
-        }
+        rows = zip(self.names, self.units, self.theta, strict=True)
+        return plain_dict(
+            {
+                "model": self.kind,
+                "method": self.method,
+                "parameters": {name: {"value": value, "unit": unit} for name, unit, value in rows},
+                "unit": self.unit,
+                "records": [_as_json(run) for run in self.runs],
+                "status": self.status,
+                "notes": self.notes,
+            }
+        )
 
     def summary(self) -> Summary:
         header = ("record", "samples", "error", "fit [%]", "error at rest", "unit")
@@ -101,10 +103,6 @@ class Validation(Presentable, Judged):
         """The columns of a table with one row for each record."""
         rows = [_as_json(run) for run in self.runs]
         return {key: [row[key] for row in rows] for key in _as_json(self.runs[0]) if key != "horizons"}
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the object that `--json` prints, as plain values."""
-        return plain_dict(self.to_json())
 
 
 def _numbers(run: FreeRun) -> tuple[str, str, str]:
@@ -160,8 +158,6 @@ def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axi
         raise UsageError("the list of records is empty; give at least one record to validate on")
     if not np.all(np.isfinite(theta)):
         raise UsageError("a parameter is not finite: identify the record again")
-    for record in data:
-        kind.check(record, axis)
     runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
     every = (finding for record in data for finding in check(record, axis))
     findings = sort_findings(finding for finding in every if not is_small_doubt(finding))

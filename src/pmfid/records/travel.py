@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from pmfid.config.axis import Axis
 
 
+def integrate_velocity(velocity: Floats, dt: float) -> Floats:
+    """Return the position (n,) of a velocity (n,) that is linear between samples. The position starts at 0."""
+    return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
+
+
 def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats, str]:
     """Return the position (n,) of a velocity (n,) that is sampled every dt [s], and a description of the method.
 
@@ -26,8 +31,7 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
         return np.cumsum(np.rint(steps)) * resolution, (
             "the velocity is the change of the counts, and the position is their sum"
         )
-    line = np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2)
-    return line, (
+    return integrate_velocity(velocity, dt), (
         "the velocity is integrated along lines between samples, so an offset of the velocity makes the position drift"
     )
 

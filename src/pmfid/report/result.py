@@ -62,7 +62,7 @@ def write_result(out: Path, result: Result) -> None:
         title = f"transfer function: {result.estimator.method}"
         sections = _process_sections(cast(ProcessResult, result))
     lead = said.sentence, said.action
-    write_page(out, ResultPage("report", title, result.to_json(), sections, lead, data="result"))
+    write_page(out, ResultPage("report", title, result.to_dict(), sections, lead, data="result"))
 
 
 def _drive_sections(out: Path, result: DriveResult) -> list[Section]:

@@ -29,4 +29,4 @@ def terms_page(found: TermSearch) -> ResultPage:
     lead = [found.sentence, *(["Write the lines for AXIS.toml into its section [model]."] if found.added else [])]
     remarks = [f"status: {', '.join(found.status) or 'none'}"]
     remarks += [line for finding in result.findings for line in finding.lines]
-    return ResultPage("terms", f"{found.name}: terms of the drive", found.to_json(), sections, lead, remarks)
+    return ResultPage("terms", f"{found.name}: terms of the drive", found.to_dict(), sections, lead, remarks)

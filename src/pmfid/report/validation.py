@@ -36,7 +36,7 @@ def validation_page(found: Validation) -> ResultPage:
     ]
     status = [f"status: {', '.join(found.status)}"] if found.status else []
     remarks = [*status, *(f"note: {note}" for note in found.notes)]
-    return ResultPage("validation", f"{found.runs[0].name}: predicted", found.to_json(), sections, remarks=remarks)
+    return ResultPage("validation", f"{found.runs[0].name}: predicted", found.to_dict(), sections, remarks=remarks)
 
 
 def _text(found: Validation) -> str:

@@ -22,11 +22,11 @@ from pmfid.pipeline.checks.view import (
 from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import finds_gain, set_any_gain
 from pmfid.pipeline.tuning import TUNING
+from pmfid.records.travel import integrate_velocity
 from pmfid.types import Counts, Floats
 from pmfid.units import OUTPUTS, column_unit
 
 RATE = 'give [record] output_kind = "velocity"'
-INTEGRATE = "name the position column, or integrate this column: its cumulative sum times the sample period"
 
 
 def read_as(log: CheckedLog) -> Iterator[Finding]:
@@ -129,7 +129,9 @@ def _view_exchanged(log: CheckedLog) -> View | None:
 
 
 def _velocity(log: CheckedLog) -> View | None:
-    encoder, counts = convert_velocity(log.record.counts, log.record.resolution, log.record.dt)
+    # Count 0 means exactly zero velocity. With the middle of a step, an axis at rest would drift.
+    velocity = np.float64(log.record.resolution) * log.record.counts.astype(np.float64)
+    encoder, counts = fine_counts(integrate_velocity(velocity, log.record.dt))
     return _view_reading(log.force, counts, encoder, log.record.dt)
 
 
@@ -146,20 +148,6 @@ def _exchange(log: CheckedLog) -> str:
     if np.array_equal(log.record.u, np.rint(log.record.u)) and column_unit(config.input, OUTPUTS) is None:
         return f'give [record] {names}, output_kind = "counts", and the travel of a count in [encoder]'
     return f"give [record] {names}"
-
-
-def integrate_velocity(velocity: Floats, dt: float) -> Floats:
-    """Return the position (n,) of a velocity (n,) that is linear between samples. The position starts at 0."""
-    return np.asarray(np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2))
-
-
-def convert_velocity(counts: Counts, resolution: float, dt: float) -> tuple[Encoder, Counts]:
-    """Return a fine encoder and its counts (n,) for the integral of a velocity.
-
-    The velocity is the product of counts (n,) and resolution. Count 0 means exactly zero velocity, and not the middle
-    of a step. With the middle of a step, an axis at rest would drift, and its friction would have a direction.
-    """
-    return fine_counts(integrate_velocity(np.float64(resolution) * counts.astype(np.float64), dt))
 
 
 def suggest_sign(log: CheckedLog) -> str:

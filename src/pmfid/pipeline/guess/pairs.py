@@ -10,13 +10,14 @@ import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.estimators.stretches import liveliest
-from pmfid.pipeline.checks.readings import integrate_velocity, is_turned
+from pmfid.pipeline.checks.readings import is_turned
 from pmfid.pipeline.checks.view import MASS, PLAIN, View, best_view, solve_least_squares
 from pmfid.pipeline.guess.columns import is_whole, step_of
 from pmfid.pipeline.guess.relations import Likeness, compare, is_rate, jumps
 from pmfid.pipeline.guess.roles import NameEvidence, Role, evidence_of, number_of, role_of
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
+from pmfid.records.travel import integrate_velocity
 from pmfid.types import Floats
 from pmfid.units import OUTPUTS, Unit, column_unit
 
