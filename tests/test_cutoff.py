@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.tuning import TUNING
+from pmfid.estimators.cutoff import CUTOFF_TRIED
 from pmfid.pipeline.result import Result
 from pmfid.simulation import Machine
 from pmfid.types import Floats
@@ -37,7 +37,7 @@ def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
     assert abs(error[0]) < 5e-3
     assert any("was chosen for this record" in note for note in result.notes)
     assert 1 / (result.estimator.cutoff * result.estimator.dt) == pytest.approx(
-        min(TUNING.cutoff_tried, key=lambda k: abs(k * result.estimator.cutoff * result.estimator.dt - 1))
+        min(CUTOFF_TRIED, key=lambda k: abs(k * result.estimator.cutoff * result.estimator.dt - 1))
     )
 
 

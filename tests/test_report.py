@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from pmfid.estimators.results import Track
 from pmfid.report.figures import (
+    MAX_POINTS,
     decimation,
     estimate_figure,
     residual_figure,
@@ -22,7 +23,6 @@ from pmfid.report.figures import (
 )
 from pmfid.report.html import svg, write_report
 from pmfid.report.page import Section
-from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 
 N = 600
@@ -74,11 +74,11 @@ def test_without_an_estimate_there_is_a_figure_still() -> None:
     assert "mass [kg]" in svg(estimate_figure(T, nothing))
 
 
-@pytest.mark.parametrize("n", [1, 5, TUNING.max_points, TUNING.max_points + 1, 9973, 300_000])
+@pytest.mark.parametrize("n", [1, 5, MAX_POINTS, MAX_POINTS + 1, 9973, 300_000])
 def test_decimation_keeps_the_extremes_and_the_ends(n: int) -> None:
     y = np.random.default_rng(n).standard_normal(n)
     i = decimation(y)
-    assert i.size == min(n, i.size) <= TUNING.max_points
+    assert i.size == min(n, i.size) <= MAX_POINTS
     assert (np.diff(i) > 0).all()
     assert (i[0], i[-1]) == (0, n - 1)
     assert (y[i].min(), y[i].max()) == (y.min(), y.max())

@@ -12,9 +12,8 @@ from pmfid.design.ascent import Climber
 from pmfid.design.body import simulate, simulated_information
 from pmfid.design.oracle import Oracle
 from pmfid.design.problem import InfeasibleError, Limits, Problem
-from pmfid.design.solver import setting, solve
+from pmfid.design.solver import SOLVER_REACHED, setting, solve
 from pmfid.design.standard import standard_inputs
-from pmfid.design.tuning import TUNING
 from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION
 from pmfid.types import Floats
@@ -58,7 +57,7 @@ def designed(mass: float = CART.mass) -> Floats:
     if mass == CART.mass:
         return max(optima, key=lambda optimum: optimum[0])[1]
     best = max(value for value, _ in optima)
-    ties = [u for value, u in optima if value > best + np.log1p(-TUNING.solver_reached)]
+    ties = [u for value, u in optima if value > best + np.log1p(-SOLVER_REACHED)]
     return min(ties, key=lambda u: float(np.sum((u - designed()) ** 2)))
 
 

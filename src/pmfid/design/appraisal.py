@@ -15,9 +15,15 @@ from pmfid.design.fisher import Criterion
 from pmfid.design.problem import Design, Problem
 from pmfid.design.solver import Setting, evaluate, setting
 from pmfid.design.standard import StandardInput, standard_inputs
-from pmfid.design.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
+
+#: Factor for "better". The expected deviations themselves are known to 10 % at best (`EXPECTED_MACHINES`).
+APPRAISAL_SURELY = 0.95
+#: Part of the claimed information that must survive stiction. A smaller part gives a warning.
+APPRAISAL_SURVIVES = 0.95
+#: Parts of the nominal values for which information must survive. An axis may just stop, or just fail to stop.
+APPRAISAL_NEAR = (0.9999, 1.0, 1.0001)
 
 __all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
 
@@ -64,11 +70,11 @@ def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floa
 
     def better(name: str) -> bool:
         own = stds(problem, covariances[name])
-        return all(own[each] <= TUNING.appraisal_surely * usual[each] for each in problem.unknown)
+        return all(own[each] <= APPRAISAL_SURELY * usual[each] for each in problem.unknown)
 
     fit = [name for name in covariances if name == USUAL or better(name)] or list(covariances)
     values = [value(name) for name in fit]
-    return next(name for name, own in zip(fit, values, strict=True) if own >= TUNING.appraisal_surely**2 * max(values))
+    return next(name for name, own in zip(fit, values, strict=True) if own >= APPRAISAL_SURELY**2 * max(values))
 
 
 def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
@@ -238,14 +244,14 @@ def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Fl
     if not judge.value(claimed) > 1e-9 * np.trace(claimed):
         judge = Criterion("trace", len(claimed))
     scale, whole = np.outer(problem.scale, problem.scale), judge.value(claimed)
-    near = [{name: part * value for name, value in problem.nominal.items()} for part in TUNING.appraisal_near]
+    near = [{name: part * value for name, value in problem.nominal.items()} for part in APPRAISAL_NEAR]
     true = [judge.value(simulated_information(problem, u, each) * scale) for each in near]
     return min(true) / whole if whole > 0 else 0.0
 
 
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     careful = design.problem.limits.min_speed > 0
-    if worth.surviving >= TUNING.appraisal_survives and careful:
+    if worth.surviving >= APPRAISAL_SURVIVES and careful:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
     return [f"{part}; raise min_speed" if careful else f"{part}; set min_speed above 0"]

@@ -8,8 +8,23 @@ import numpy as np
 
 from pmfid.design.fisher import Affine, Criterion
 from pmfid.design.oracle import Oracle
-from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
+
+#: Shifts of the motion, in fortieths of the horizon.
+ASCENT_SHIFTS = (1, -1, 4, -4, 16, -16)
+#: Relative gain below which a step, or another local optimum, does not count.
+ASCENT_TOLERANCE = 1e-4
+ASCENT_SAME = 1e-5
+#: Largest distance ahead of a full step at which the next gradient is taken, in steps.
+ASCENT_FURTHEST = 8.0
+#: Relative gain of a full step below which the step is only a drift.
+ASCENT_DRIFT = 0.05
+#: Largest excess of a motion over its share at which the weights count as converged. Smaller weights become 0.
+ASCENT_ENOUGH = 1e-6
+ASCENT_ROUNDS = 2000
+#: Largest number of new motions, and the number of starts in the search for each motion.
+ASCENT_MOTIONS = 30
+ASCENT_SEARCHES = 4
 
 __all__ = ["Climber"]
 
@@ -54,7 +69,7 @@ class Climber:
         self._known += [(*local, value, u) for local in met]
         return value, u
 
-    def ascend(self, u: Floats, tolerance: float = TUNING.ascent_tolerance, steps: int = 60) -> tuple[float, Floats]:
+    def ascend(self, u: Floats, tolerance: float = ASCENT_TOLERANCE, steps: int = 60) -> tuple[float, Floats]:
         """Climb from u until no vertex promises a relative gain above the tolerance, and return the log value and
         input.
         """
@@ -71,11 +86,11 @@ class Climber:
                 break
             change = self.maps.weigh_sensitivities(vertex) - s
             part, new = self._line(s, change)
-            if new > value + TUNING.ascent_same * bool(ahead):
+            if new > value + ASCENT_SAME * bool(ahead):
                 u, value = u + part * (vertex - u), new
                 s = s + part * change
-                drift = drift + 1 if part == 1.0 and gain < TUNING.ascent_drift else 0
-                ahead = min(2.0 * ahead + 1.0, TUNING.ascent_furthest) if drift > 1 else 0.0
+                drift = drift + 1 if part == 1.0 and gain < ASCENT_DRIFT else 0
+                ahead = min(2.0 * ahead + 1.0, ASCENT_FURTHEST) if drift > 1 else 0.0
             elif ahead:
                 ahead, drift = 0.0, 0
             else:
@@ -118,22 +133,22 @@ class Climber:
         if np.allclose(vertex, u, rtol=0.0, atol=1e-6 * np.abs(u).max()):
             return None
         other, u = self.ascend(vertex)
-        return (other, u) if other > value + TUNING.ascent_same else None
+        return (other, u) if other > value + ASCENT_SAME else None
 
     def _shifts(self) -> list[int]:
         size = self.oracle.inputs.size
-        return list(dict.fromkeys(s for n in TUNING.ascent_shifts if 0 < abs(s := n * max(1, round(size / 40))) < size))
+        return list(dict.fromkeys(s for n in ASCENT_SHIFTS if 0 < abs(s := n * max(1, round(size / 40))) < size))
 
     def _recall(self, value: float, u: Floats) -> tuple[float, Floats] | None:
         """Return the best value and input known from an earlier search at this local optimum, or None."""
         scale = 0.02 * float(np.abs(u).max())
         for seen, where, best, best_u in self._known:
-            if abs(seen - value) < TUNING.ascent_tolerance and np.abs(where - u).max() < scale:
+            if abs(seen - value) < ASCENT_TOLERANCE and np.abs(where - u).max() < scale:
                 return (best, best_u) if best > value else (value, u)
         return None
 
 
-def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.ascent_rounds) -> Floats:
+def proportions(rule: Criterion, informations: Floats, rounds: int = ASCENT_ROUNDS) -> Floats:
     """Return the weights (m,) with which a mixture of informations (m, p, p) has the largest criterion.
 
     The weights sum to 1. The multiplicative steps are from Silvey, Titterington and Torsney (1978).
@@ -142,11 +157,11 @@ def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.asce
     for _ in range(rounds):
         mean = np.tensordot(weights, informations, 1)
         shares = np.tensordot(informations, rule.gradient(mean), 2)
-        if shares.max() < 1.0 + TUNING.ascent_enough:
+        if shares.max() < 1.0 + ASCENT_ENOUGH:
             break
         weights = weights * np.maximum(shares, 0.0) ** 0.9
         weights /= weights.sum()
-    return np.where(weights < TUNING.ascent_enough, 0.0, weights)
+    return np.where(weights < ASCENT_ENOUGH, 0.0, weights)
 
 
 def share(rule: Criterion, mean: Floats) -> Floats:
@@ -163,7 +178,7 @@ def best_mixture(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Fl
     Each step of the mixture adds the input with the largest share of the tangent (Fedorov 1972, Wynn 1970).
     """
     rng, inputs = np.random.default_rng(0), [u]
-    for _ in range(TUNING.ascent_motions):
+    for _ in range(ASCENT_MOTIONS):
         informations = np.array([maps.information(u) for u in inputs])
         weights = proportions(rule, informations)
         mean = np.tensordot(weights, informations, 1)
@@ -181,7 +196,7 @@ def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.
     Full steps climb, because the trace is a convex function of the input.
     """
     climber = Climber(_rotate_maps(maps, weight), Criterion("trace", len(maps.scale)), oracle)
-    return max((climber.start(rng) for _ in range(TUNING.ascent_searches)), key=lambda found: found[0])[1]
+    return max((climber.start(rng) for _ in range(ASCENT_SEARCHES)), key=lambda found: found[0])[1]
 
 
 def _rotate_maps(maps: Affine, weight: Floats) -> Affine:

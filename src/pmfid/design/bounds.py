@@ -14,10 +14,20 @@ from scipy.linalg import null_space
 from pmfid.design.ascent import best_mixture, proportions, share
 from pmfid.design.fisher import Affine, Criterion, affine
 from pmfid.design.oracle import EmptyError, Oracle
-from pmfid.design.polytope import EQUAL, input_set
+from pmfid.design.polytope import EQUAL, SOLVER_PRECISION, input_set
 from pmfid.design.problem import Problem
-from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
+
+#: Share of the chords' gap that is worth narrowing. Another round must take away `BOUNDS_PROGRESS` of the excess.
+#: More rounds do not help a part that has to be halved in any case.
+BOUNDS_WORTH = 0.9
+BOUNDS_PROGRESS = 0.15
+BOUNDS_ROUNDS = 2
+#: Number of vertices that a node remembers for mixtures.
+BOUNDS_REMEMBERED = 80
+LEAST_GAIN = 0.02
+#: Error that the tolerances of the linear solver may add to a bound, in units of the incumbent's value.
+SLACK_OF_BOUND = 1e-6
 
 __all__ = ["Box", "WeightFrame", "frame"]
 
@@ -63,8 +73,8 @@ class Box:
         """Narrow range j to the values that the inputs allow, and return the two inputs at its ends."""
         row, offset = where.matrix[j], where.offset[j]
         ends = [extreme(row), extreme(-row)]
-        self.upper[j] = min(self.upper[j], row @ ends[0] + offset + TUNING.solver_precision)
-        self.lower[j] = max(self.lower[j], row @ ends[1] + offset - TUNING.solver_precision)
+        self.upper[j] = min(self.upper[j], row @ ends[0] + offset + SOLVER_PRECISION)
+        self.lower[j] = max(self.lower[j], row @ ends[1] + offset - SOLVER_PRECISION)
         return ends
 
 
@@ -158,7 +168,7 @@ class _BoundSearch:
         box = Box(np.full(size, -np.inf), np.full(size, np.inf))
         for j in range(size):
             seen += box.measure(j, self.oracle.maximise_relaxed, where)
-        node = _Node(rows, where, box, seen=seen[-TUNING.bounds_remembered :])
+        node = _Node(rows, where, box, seen=seen[-BOUNDS_REMEMBERED:])
         self._bound(node)
         return node
 
@@ -171,7 +181,7 @@ class _BoundSearch:
         where, box = node.frame, node.box
         vertex = self.oracle.maximise_relaxed(where.matrix.T @ box.slope)
         node.z = where.matrix @ vertex + where.offset
-        node.bound = min(node.bound, box.chords(node.z) + where.constant + TUNING.slack_of_bound)
+        node.bound = min(node.bound, box.chords(node.z) + where.constant + SLACK_OF_BOUND)
         node.seen.append(vertex)
 
     def _close(self, node: _Node) -> None:
@@ -187,13 +197,13 @@ class _BoundSearch:
             node.bound = -np.inf
 
     def _narrow(self, node: _Node) -> None:
-        for _ in range(TUNING.bounds_rounds):
+        for _ in range(BOUNDS_ROUNDS):
             before = node.bound
             if before <= self.target or time.thread_time() > self.until:
                 return
             self._measure(node)
             self._bound(node)
-            if node.bound - 1.0 > (1.0 - TUNING.bounds_progress) * (before - 1.0):
+            if node.bound - 1.0 > (1.0 - BOUNDS_PROGRESS) * (before - 1.0):
                 return
 
     def _measure(self, node: _Node) -> None:
@@ -201,14 +211,14 @@ class _BoundSearch:
         where, box = node.frame, node.box
         gaps = box.gaps(node.z)
         order = np.argsort(-gaps)
-        much = int(np.searchsorted(np.cumsum(gaps[order]), TUNING.bounds_worth * gaps.sum())) + 1
+        much = int(np.searchsorted(np.cumsum(gaps[order]), BOUNDS_WORTH * gaps.sum())) + 1
         slope = box.slope
         least = self.target - where.constant + float(box.lower @ box.upper - slope @ where.offset)
-        row = self.oracle.restrict(where.matrix.T @ slope, least - TUNING.slack_of_bound, np.inf)
+        row = self.oracle.restrict(where.matrix.T @ slope, least - SLACK_OF_BOUND, np.inf)
         for j in order[:much]:
             node.seen += box.measure(j, self.oracle.maximise_relaxed, where)
         self.oracle.release(row)
-        del node.seen[: -TUNING.bounds_remembered]
+        del node.seen[:-BOUNDS_REMEMBERED]
 
     def _turn(self, node: _Node) -> None:
         """Take the tangent at the best mixture of known inputs, if the present tangent is too high."""
@@ -222,7 +232,7 @@ class _BoundSearch:
         first, second = np.argsort(-weights)[:2]
         node.apart = (node.seen[first], node.seen[second])
         mean = np.tensordot(weights, informations, 1)
-        if self.rule.value(mean) / self.value < truth - TUNING.least_gain:
+        if self.rule.value(mean) / self.value < truth - LEAST_GAIN:
             other = self._make_node(node.rows, share(self.rule, mean) / self.value, list(node.seen))
             self._narrow(other)
             if other.bound < node.bound:

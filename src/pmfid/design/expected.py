@@ -9,9 +9,15 @@ from numpy.typing import ArrayLike
 
 from pmfid.design.body import prior_of, separate, simulate
 from pmfid.design.problem import Problem, parameters_of
-from pmfid.design.tuning import TUNING
 from pmfid.fit.prediction import expect_covariance
 from pmfid.types import Floats
+
+#: Condition number of an information from which a parameter counts as open.
+EXPECTED_OPEN = 1e12
+#: Least number of machines, whose mean standard deviation is then known to 10 %.
+EXPECTED_MACHINES = 16
+#: Deviation of the machines' parameters from the data sheet, as a part of the nominal values.
+EXPECTED_WRONG = 0.1
 
 
 def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
@@ -23,7 +29,7 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """
     prior = prior_of(problem, problem.names) * np.outer(problem.scale, problem.scale)
     slopes = _centre(simulate(problem, u).slopes * problem.scale)
-    if np.linalg.cond(slopes.T @ slopes / problem.variance + prior) > TUNING.expected_open:
+    if np.linalg.cond(slopes.T @ slopes / problem.variance + prior) > EXPECTED_OPEN:
         return None
     machines = _machines(problem, prior)
     phases = (np.arange(len(machines)) + 0.5) / len(machines)
@@ -47,12 +53,12 @@ def _covariance_of(problem: Problem, u: ArrayLike, parameters: Floats, phase: fl
 
 def _machines(problem: Problem, prior: Floats) -> Floats:
     """Return the parameters (m, p) of machines around the nominal one, with the variance of the prior (p, p) of the
-    scaled parameters. Without a prior, a parameter is `expected_wrong` of its value off."""
+    scaled parameters. Without a prior, a parameter is `EXPECTED_WRONG` of its value off."""
     nominal = np.array([problem.nominal[name] for name in problem.names])
-    wrong = TUNING.expected_wrong * np.where(nominal != 0, np.abs(nominal) / problem.scale, 1.0)
+    wrong = EXPECTED_WRONG * np.where(nominal != 0, np.abs(nominal) / problem.scale, 1.0)
     spread = np.linalg.cholesky(np.linalg.inv(prior + np.diag(wrong**-2.0)))
     corners = np.array(list(product((-1.0, 1.0), repeat=nominal.size)))
-    corners = np.tile(corners, (-(-TUNING.expected_machines // len(corners)), 1))
+    corners = np.tile(corners, (-(-EXPECTED_MACHINES // len(corners)), 1))
     values = nominal + corners @ spread.T * problem.scale
     signs = parameters_of(problem.drive)
     lower = np.where([signs[name] for name in problem.names], 0.1 * np.abs(nominal), -np.inf)

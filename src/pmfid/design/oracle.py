@@ -11,12 +11,15 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from pmfid.design.polytope import EQUAL, InputSet, nearest_of_any_energy, retreat
-from pmfid.design.tuning import TUNING
 from pmfid.errors import PmfidError, UsageError
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import highspy
+
+#: Largest number of tangents that one answer may add, and that are kept in total.
+MAX_CUTS = 5
+ORACLE_KEPT = 60
 
 __all__ = ["EmptyError", "Oracle", "SolverError"]
 
@@ -72,7 +75,7 @@ class Oracle:
     def maximise(self, objective: Floats) -> Floats:
         """Return an input (K,) that maximises objective' u. Raises SolverError if HiGHS finds no optimum."""
         u = self.maximise_relaxed(objective)
-        for _ in range(TUNING.max_cuts):
+        for _ in range(MAX_CUTS):
             if not u @ u > self.inputs.radius**2 * (1 + EQUAL):
                 return u
             self._cut(u)
@@ -127,7 +130,7 @@ class Oracle:
 
     def _cut(self, u: Floats) -> None:
         """Cut off a point outside the ball by the tangent below it."""
-        if self._highs.getNumRow() >= self._rows + TUNING.oracle_kept:
+        if self._highs.getNumRow() >= self._rows + ORACLE_KEPT:
             self.release(self._rows)
         self.restrict(u / np.linalg.norm(u), -np.inf, self.inputs.radius)
 

@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from pmfid.design.ascent import Climber
+from pmfid.design.ascent import ASCENT_TOLERANCE, Climber
 from pmfid.design.fisher import CRITERIA, Affine, Criterion
 from pmfid.design.oracle import Oracle
 from pmfid.design.polytope import InputSet
 from pmfid.design.problem import InfeasibleError
-from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
 from pmfid.types import Floats
 
@@ -315,4 +314,4 @@ def solve_plant(problem: PlantProblem, criterion: str = "trace", *, starts: int 
     value, u = max(results, key=lambda result: result[0])
     if not np.isfinite(value):
         raise NotIdentifiableError(f"the output does not determine {', '.join(problem.unknown)}; name fewer of them")
-    return evaluate_plant_input(problem, climber.ascend(u, TUNING.ascent_tolerance, 300)[1], criterion)
+    return evaluate_plant_input(problem, climber.ascend(u, ASCENT_TOLERANCE, 300)[1], criterion)

@@ -13,8 +13,10 @@ from scipy.optimize import lsq_linear, nnls
 
 from pmfid.design.fisher import VELOCITY, drive_regime, node_states
 from pmfid.design.problem import InfeasibleError, Problem
-from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
+
+#: Largest violation of a limit, relative to the terms that the limit compares. The linear solver works to it.
+SOLVER_PRECISION = 1e-7
 
 #: Share of the Coulomb friction that the input may use while friction shall hold the axis.
 HOLD = 0.9
@@ -193,10 +195,10 @@ def violations(inputs: InputSet, u: Floats) -> dict[str, float]:
     """Return the limits that the input breaks, each with the excess in the unit of the limit."""
     broken: dict[str, float] = {}
     excess, size = inputs.excess(u)
-    for i in np.flatnonzero(excess > TUNING.solver_precision * size):
+    for i in np.flatnonzero(excess > SOLVER_PRECISION * size):
         broken[inputs.names[i]] = max(float(excess[i]), broken.get(inputs.names[i], 0.0))
     over = float(np.linalg.norm(u)) - inputs.radius
-    return broken | ({"energy": over} if over > TUNING.solver_precision * inputs.radius else {})
+    return broken | ({"energy": over} if over > SOLVER_PRECISION * inputs.radius else {})
 
 
 def nearest(inputs: InputSet, wish: Floats) -> Floats:

@@ -11,12 +11,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.design.tuning import TUNING
 from pmfid.errors import PmfidError, UsageError, did_you_mean
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
+
+#: Largest size of a value of a machine, in SI units. Its inverse is the smallest size.
+PROBLEM_MOST = 1e20
 
 
 def check_pair(name: str, value: float | tuple[float, float] | None) -> None:
@@ -62,7 +64,7 @@ def check_parameters(problem: Problem) -> None:
             if not math.isfinite(value) or (name == mass and value <= 0) or (signs[name] and value < 0):
                 sign = "positive" if name == mass else "at least 0" if signs[name] else "a number"
                 raise UsageError(f"{name} must be given, finite and {sign}, got {value}")
-            if abs(value) > TUNING.problem_most or (name == mass and value < 1 / TUNING.problem_most):
+            if abs(value) > PROBLEM_MOST or (name == mass and value < 1 / PROBLEM_MOST):
                 raise UsageError(f"{name} = {value:g} is impossible for a machine; give the value in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
@@ -127,7 +129,7 @@ def check_noise(problem: Problem) -> None:
         value = getattr(problem, name)
         if value is not None and not (math.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be positive and finite, got {value}")
-        if value is not None and not TUNING.problem_most**-2 < value < TUNING.problem_most**2:
+        if value is not None and not PROBLEM_MOST**-2 < value < PROBLEM_MOST**2:
             raise UsageError(f"{name} = {value:g} is impossible for an encoder; check the unit")
     if problem.prior is not None:
         _check_prior(problem.prior, len(problem.names))

@@ -12,14 +12,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmfid.design.ascent import ASCENT_TOLERANCE
 from pmfid.design.body import BodyMotion, prior_of, simulate
 from pmfid.design.fisher import Criterion, criterion_of, eliminate
 from pmfid.design.problem import Design, InfeasibleError, Problem
 from pmfid.design.solver import Progress
 from pmfid.design.standard import standard_signals
-from pmfid.design.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.types import Floats
+
+#: Parts of the limit of the input that a standard input tries.
+RANKING_SIZES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08)
 
 
 def rank(
@@ -140,7 +143,7 @@ class _Judge:
                         best, u = value, tried
             if progress:
                 progress(sweep + 1, sweeps, math.exp(best))
-            if best - before < TUNING.ascent_tolerance:
+            if best - before < ASCENT_TOLERANCE:
                 break
         return u
 
@@ -168,7 +171,7 @@ def _standard_inputs(judge: _Judge, rng: np.random.Generator) -> Iterator[tuple[
     low, high = judge.bounds
     for name, signal in standard_signals(judge.problem, rng):
         whole = (high + low) / 2 + (high - low) / 2 * signal
-        for size in TUNING.ranking_sizes:
+        for size in RANKING_SIZES:
             if math.isfinite(judge.value(size * whole)):
                 yield name, size * whole
                 break

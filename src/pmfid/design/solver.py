@@ -17,9 +17,11 @@ from pmfid.design.fisher import Affine, Criterion, affine, check_identifiable, c
 from pmfid.design.oracle import Oracle
 from pmfid.design.polytope import EQUAL, UNITS, InputSet, input_set, nearest_of_any_energy, violations
 from pmfid.design.problem import Design, InfeasibleError, Problem, Relaxation
-from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
+
+#: Relative difference of the criterion within which a start counts as having reached the best.
+SOLVER_REACHED = 1e-3
 
 __all__ = ["Setting", "evaluate", "setting"]
 
@@ -287,7 +289,7 @@ def solve(
             f"no input within the limits determines {', '.join(problem.names)} in one run; give the motion more time "
             'or intervals, remove a parameter from the list "unknown", or give prior information'
         )
-    least = np.log(design.value) + np.log1p(-TUNING.solver_reached)
+    least = np.log(design.value) + np.log1p(-SOLVER_REACHED)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))
     bound = None
     if certify is not None:

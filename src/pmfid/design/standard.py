@@ -12,10 +12,22 @@ from scipy.optimize import brentq
 
 from pmfid.design.fisher import motion
 from pmfid.design.oracle import Oracle
-from pmfid.design.polytope import InputSet, input_set, nearest, violation
+from pmfid.design.polytope import SOLVER_PRECISION, InputSet, input_set, nearest, violation
 from pmfid.design.problem import InfeasibleError, Problem
-from pmfid.design.tuning import TUNING
 from pmfid.types import Floats
+
+#: Number of pulse periods in the whole motion, and number of intervals that hold one value of the PRBS.
+STANDARD_PULSES = 4
+STANDARD_CLOCK = 3
+#: Highest frequency of multisine and chirp, as a fraction of the interval rate.
+STANDARD_HIGHEST = 0.2
+#: Numbers of intervals that hold one value, and highest frequencies as parts of the interval rate, for a ranking.
+STANDARD_HOLDS = (1, 2, 4, 8, 16, 32)
+STANDARD_HIGHESTS = (0.05, 0.1, 0.2, 0.4)
+#: Parts of the reachable distance that legs with a free end try to cover.
+STANDARD_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+#: Largest peak velocity [m/s] in the search for a profile.
+STANDARD_FASTEST = 1e6
 
 __all__ = ["RISES", "SIGNALS", "Leg", "input_wish", "legs", "velocity_wish"]
 
@@ -71,18 +83,18 @@ def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.ran
     chirp.
     """
     n = problem.intervals
-    tones = int(TUNING.standard_highest * n)
-    lengths = {"pulses": n / (2 * TUNING.standard_pulses), "prbs": TUNING.standard_clock}
+    tones = int(STANDARD_HIGHEST * n)
+    lengths = {"pulses": n / (2 * STANDARD_PULSES), "prbs": STANDARD_CLOCK}
     return np.asarray((high + low) / 2 + (high - low) / 2 * _signal_of(name, n, lengths.get(name, max(1, tones)), rng))
 
 
 def standard_signals(problem: Problem, rng: np.random.Generator) -> Iterator[tuple[str, Floats]]:
     """Yield name and values (K,) of signals between -1 and 1, for several times and highest frequencies."""
     n = problem.intervals
-    for length in TUNING.standard_holds:
+    for length in STANDARD_HOLDS:
         for name in ("prbs", "pulses"):
             yield f"{name}, {length * problem.dt:.3g} s", _signal_of(name, n, length, rng)
-    for tones in (max(1, int(part * n)) for part in TUNING.standard_highests):
+    for tones in (max(1, int(part * n)) for part in STANDARD_HIGHESTS):
         for name in ("multisine", "chirp"):
             yield f"{name} to {tones / problem.horizon:.3g} Hz", _signal_of(name, n, tones, rng)
 
@@ -202,11 +214,11 @@ class _Maker:
 def _profile(maker: _Maker, rises: tuple[float | None, ...]) -> tuple[Floats, bool]:
     """Return the first velocity profile that the limits allow, or the input nearest to the first profile."""
     path = legs(maker.problem)
-    shares = TUNING.standard_shares if any(leg.free for leg in path) else TUNING.standard_shares[:1]
+    shares = STANDARD_SHARES if any(leg.free for leg in path) else STANDARD_SHARES[:1]
     wishes = [_velocities(maker, path, rise, share) for share in shares for rise in rises]
     for wish in wishes:
         u = maker.input_of(wish)
-        if violation(maker.inputs, u) <= TUNING.solver_precision:
+        if violation(maker.inputs, u) <= SOLVER_PRECISION:
             return u, False
     return nearest(maker.inputs, maker.input_of(wishes[0])), True
 
@@ -239,7 +251,7 @@ def _peak(maker: _Maker, wish: Floats, leg: Leg, rise: float | None, target: flo
         return leg.direction * (maker.position_at(leg.last, trial) - target)
 
     high = 1.0
-    while find_excess(high) < 0 and high < TUNING.standard_fastest:
+    while find_excess(high) < 0 and high < STANDARD_FASTEST:
         high *= 4
     return float(brentq(find_excess, 0.0, high, xtol=1e-15)) if find_excess(0.0) < 0 < find_excess(high) else 0.0
 
@@ -248,7 +260,7 @@ def _signal(maker: _Maker, name: str) -> tuple[Floats, bool]:
     """Return the signal over the whole range of the input, bent to the other limits."""
     low, high = maker.problem.limits.pair("input") or _range(maker)
     wish = input_wish(maker.problem, name, low, high, np.random.default_rng(maker.seed))
-    if violation(maker.inputs, wish) <= TUNING.solver_precision:
+    if violation(maker.inputs, wish) <= SOLVER_PRECISION:
         return wish, False
     return nearest(maker.inputs, wish), True
 

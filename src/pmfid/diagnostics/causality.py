@@ -19,9 +19,27 @@ import numpy as np
 
 from pmfid._stage import first_order
 from pmfid.diagnostics.free_run import rms
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.linear.residuals import Noise, fit_noise, whiten_columns
 from pmfid.types import Flags, Floats, Places
+
+#: Smallest number of lags of the input. The next constants are the largest number of lags, the samples for each
+#: further lag, and the number of future lags.
+CAUSALITY_LEAST = 8
+CAUSALITY_MOST = 40
+SAMPLES_PER_LAG = 15
+CAUSALITY_AHEAD = 10
+#: Prediction of the input from its past. `OWN_PAST` and `SHORT_PAST` are the numbers of past samples in the final
+#: and the first prediction. `CAUSALITY_TRIALS` is the number of subsets for the first prediction. Each prediction
+#: holds for `CAUSALITY_BLOCK` samples. `CAUSALITY_JUMP` is the size of a jump in robust standard deviations.
+OWN_PAST = 20
+SHORT_PAST = 5
+CAUSALITY_TRIALS = 60
+CAUSALITY_BLOCK = 500
+CAUSALITY_JUMP = 4.5
+#: Number of passes of a robust fit, and of alternations between the noise fit and the regression.
+CAUSALITY_PASSES = 4
+#: Relative size of a remainder below which the other columns explain a column up to rounding.
+CAUSALITY_APART = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,12 +132,12 @@ def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
     """
     error, known = columns[:, 0], columns[:, 1:]
     left = error - known @ (known.T @ error)
-    if not rms(left) > TUNING.causality_apart:
+    if not rms(left) > CAUSALITY_APART:
         return None
     noise = fit_noise(left, place)
-    for _ in range(TUNING.causality_passes - 1):
+    for _ in range(CAUSALITY_PASSES - 1):
         whitened = whiten_columns(noise, columns, place)[settled := _mark_settled(place, noise.coefficients.size)]
-        left = error - known @ np.linalg.lstsq(whitened[:, 1:], whitened[:, 0], rcond=TUNING.causality_apart)[0]
+        left = error - known @ np.linalg.lstsq(whitened[:, 1:], whitened[:, 0], rcond=CAUSALITY_APART)[0]
         noise = fit_noise(left[settled], place[settled])
     return noise
 
@@ -141,13 +159,13 @@ def _mark_settled(place: Places, order: int) -> Flags:
 def _columns(parts: Sequence[ResidualStretch], source: int) -> tuple[Floats, Flags, Places]:
     """Return the past inputs (N, l), a mark (N,) for each row with a whole past, and the places (N,) on one line."""
     samples = sum(part.rows.size for part in parts)
-    lags = int(np.clip(samples // TUNING.samples_per_lag, TUNING.causality_least, TUNING.causality_most))
+    lags = int(np.clip(samples // SAMPLES_PER_LAG, CAUSALITY_LEAST, CAUSALITY_MOST))
     columns, kept, place, start = [], [], [], 0
     for part in parts:
         columns.append(_past(part.inputs[source], lags, samples)[part.rows])
         kept.append(part.rows >= lags)
         place.append(start + part.rows)
-        start += part.inputs.shape[1] + TUNING.causality_most + lags
+        start += part.inputs.shape[1] + CAUSALITY_MOST + lags
     return np.vstack(columns), np.concatenate(kept), np.concatenate(place).astype(np.int64)
 
 
@@ -168,12 +186,12 @@ def _past(u: Floats, lags: int, samples: int) -> Floats:
 
 
 def _ahead(part: ResidualStretch) -> Floats:
-    """Return the unpredictable part (N, causality_ahead) of the present and future inputs at each row.
+    """Return the unpredictable part (N, CAUSALITY_AHEAD) of the present and future inputs at each row.
 
     An input that was not recorded is NaN.
     """
     news = calm(part.inputs[0])
-    late = part.rows[:, None] + np.arange(TUNING.causality_ahead)
+    late = part.rows[:, None] + np.arange(CAUSALITY_AHEAD)
     return np.where(late < news.size, news[np.minimum(late, news.size - 1)], np.nan)
 
 
@@ -183,19 +201,19 @@ def calm(u: Floats) -> Floats:
     If most of u is exactly predictable, the function keeps the whole remainder. The function works block by block,
     because a sweep needs a separate prediction for each frequency.
     """
-    past = min(TUNING.own_past, u.size // 10)
+    past = min(OWN_PAST, u.size // 10)
     if past < 1 or not np.std(u) > 0:
         return u - np.mean(u)
     windows = np.lib.stride_tricks.sliding_window_view((u - np.mean(u)) / np.std(u), past + 1)
-    blocks = np.array_split(windows, max(1, round(windows.shape[0] / TUNING.causality_block)))
+    blocks = np.array_split(windows, max(1, round(windows.shape[0] / CAUSALITY_BLOCK)))
     return np.concatenate([np.zeros(past), *[_calm_block(block) for block in blocks]])
 
 
 def _calm_block(windows: Floats) -> Floats:
     columns, target = np.c_[windows[:, :-1], np.ones(windows.shape[0])], windows[:, -1]
     left = target - columns @ _robust(columns, target)
-    limit = TUNING.causality_jump * 1.4826 * float(np.median(np.abs(left)))
-    return np.asarray(left if limit < TUNING.causality_apart else np.where(np.abs(left) <= limit, left, 0.0))
+    limit = CAUSALITY_JUMP * 1.4826 * float(np.median(np.abs(left)))
+    return np.asarray(left if limit < CAUSALITY_APART else np.where(np.abs(left) <= limit, left, 0.0))
 
 
 def _robust(columns: Floats, target: Floats) -> Floats:
@@ -204,13 +222,13 @@ def _robust(columns: Floats, target: Floats) -> Floats:
     The function first chooses the best of several small subsets with a short past (least median of squares, Rousseeuw
     1984). Least squares without the jumps then refine the coefficients.
     """
-    short = columns[:, -min(TUNING.short_past + 1, columns.shape[1]) :]
-    chosen = [_fit_subset(short, target, trial) for trial in range(TUNING.causality_trials)]
+    short = columns[:, -min(SHORT_PAST + 1, columns.shape[1]) :]
+    chosen = [_fit_subset(short, target, trial) for trial in range(CAUSALITY_TRIALS)]
     left: Floats = min(chosen, key=lambda errors: float(np.median(np.abs(errors))))
     found: Floats = np.zeros(columns.shape[1])
-    for _ in range(TUNING.causality_passes):
+    for _ in range(CAUSALITY_PASSES):
         size: Floats = np.abs(left)
-        kept = size <= max(TUNING.causality_jump * 1.4826 * float(np.median(size)), TUNING.causality_apart)
+        kept = size <= max(CAUSALITY_JUMP * 1.4826 * float(np.median(size)), CAUSALITY_APART)
         found = np.asarray(np.linalg.lstsq(columns[kept], target[kept], rcond=1e-9)[0])
         left = np.asarray(target - columns @ found)
     return np.asarray(found)
@@ -235,7 +253,7 @@ def _remove_projection(columns: Floats, Q: Floats) -> Floats:
     size = np.linalg.norm(columns, axis=0)
     left = columns - Q @ (Q.T @ columns)
     left = left - Q @ (Q.T @ left)
-    return np.asarray(left[:, np.linalg.norm(left, axis=0) > TUNING.causality_apart * size])
+    return np.asarray(left[:, np.linalg.norm(left, axis=0) > CAUSALITY_APART * size])
 
 
 def _basis(columns: Floats) -> Floats:
@@ -243,4 +261,4 @@ def _basis(columns: Floats) -> Floats:
     size = np.linalg.norm(columns, axis=0)
     Q, R = np.linalg.qr(columns[:, size > 0] / size[size > 0])
     U, values, _ = np.linalg.svd(R)
-    return np.asarray(Q @ U[:, : values.size][:, values > TUNING.causality_apart])
+    return np.asarray(Q @ U[:, : values.size][:, values > CAUSALITY_APART])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.base import Estimator
 from pmfid.types import Counts
+
+#: Length of the judged part at the end of the record, in memories of an estimator with forgetting.
+DRIVES_MEMORIES = 3.0
 
 NOISE_SEEN = "the result of least squares may be the encoder's noise, because no other method confirms it"
 NOISE_REMEDY = "move the axis more, or use a finer encoder"
@@ -23,6 +25,4 @@ def counts_per_sample(counts: Counts) -> float:
 
 def recent(estimator: Estimator, samples: int) -> slice:
     """Return the samples that determine an estimate: the last three memories of a record."""
-    return slice(
-        -round(min(samples, TUNING.drives_memories / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None
-    )
+    return slice(-round(min(samples, DRIVES_MEMORIES / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None)

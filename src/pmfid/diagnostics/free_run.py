@@ -9,19 +9,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.batch import BEYOND
 from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import make_problem, process_of
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.fit.free_motion import FreeMotion
 from pmfid.fit.problem import ObservedStretch
 from pmfid.linear.experiment import Experiment, RecordStretch
 from pmfid.linear.responses import simulate
 from pmfid.linear.solve import ProcessProblem, visit
 from pmfid.types import Counts, Flags, Floats
+
+#: Lengths of the free runs [s]. `FREE_RUN_WORTH` is the smallest ratio of a run to the stretch that determines its
+#: start. Shorter or longer records use the same lengths, scaled by powers of ten.
+FREE_RUN_HORIZONS = (1.0, 2.0, 5.0, 10.0)
+FREE_RUN_WORTH = 2.0
+#: Largest number of runs for each horizon.
+MOST_RUNS = 200
+#: Smallest number of samples for each unknown in the fit of a start.
+FREE_RUN_SAMPLES = 4
 
 
 def rms(signal: Floats) -> float:
@@ -167,7 +175,7 @@ def firsts_of(n: int, samples: int) -> list[int]:
     If the record holds too many runs, the function returns an evenly spread selection.
     """
     firsts = np.arange(0, n - samples + 1, samples)
-    return firsts[:: -(-firsts.size // TUNING.most_runs)].tolist() if firsts.size else []
+    return firsts[:: -(-firsts.size // MOST_RUNS)].tolist() if firsts.size else []
 
 
 def measure_horizons(
@@ -180,7 +188,7 @@ def measure_horizons(
     length [s].
     """
     found = []
-    least, horizons = TUNING.free_run_worth * read, TUNING.free_run_horizons
+    least, horizons = FREE_RUN_WORTH * read, FREE_RUN_HORIZONS
     usual = least <= horizons[2] and duration >= horizons[1]
     unit = 1.0 if usual else 10.0 ** math.ceil(math.log10(least))
     for seconds in (unit * one for one in horizons if least <= unit * one <= duration):
@@ -194,7 +202,7 @@ def measure_horizons(
 
 def finite(run: FreeRun) -> FreeRun:
     """Return the run, or raise UsageError if the simulation exceeds the range of numbers."""
-    if not np.max(np.abs(run.error)) < ESTIMATOR_TUNING.beyond:
+    if not np.max(np.abs(run.error)) < BEYOND:
         raise UsageError(
             "the simulated output exceeds the range of floating-point numbers: use the units of parameters, input and "
             "resolution with which the parameters were identified"
@@ -219,7 +227,7 @@ def process_run(method: Estimator, theta: Floats, experiment: Experiment, encode
         )
     plain = replace(experiment, reference=None)
     n = poles.size
-    read = max(5 / method.cutoff, TUNING.free_run_samples * n * plain.period)
+    read = max(5 / method.cutoff, FREE_RUN_SAMPLES * n * plain.period)
     parts = _simulate_stretches(method, theta, [plain], read)
     horizons = measure_horizons(
         float(plain.times[-1] - plain.times[0]),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.tuning import TUNING
+from pmfid.estimators.known import CONTRADICTED
 from pmfid.findings import Finding, sort_findings
 from pmfid.fit.compare import NORMAL_95
 from pmfid.types import Floats
@@ -93,7 +93,7 @@ def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, 
     """
     p = len(estimator.equation.names)
     half, size = NORMAL_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
-    beyond = ~(half <= np.maximum(tolerance * size, TUNING.contradicted * std[:p]))
+    beyond = ~(half <= np.maximum(tolerance * size, CONTRADICTED * std[:p]))
     with np.errstate(divide="ignore", invalid="ignore"):
         part = half / size
     worst = int(np.argmax(np.where(np.isnan(part), -1.0, part * np.where(beyond, 1.0, 1e-9))))

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.diagnostics.causality import ResidualStretch, chance_of_feedback, chance_of_response, estimate_residual_noise
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
+from pmfid.estimators.batch import BEYOND
 from pmfid.findings import Finding, make_notes
 from pmfid.linear.counts import explain_counts
 from pmfid.linear.experiment import Experiment, Grid, RecordStretch, transition
@@ -34,6 +33,30 @@ from pmfid.linear.responses import companion, simulate
 from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, fix_dead_time, settle, visit
 from pmfid.linear.tuning import TUNING as LINEAR_TUNING
 from pmfid.types import Floats
+
+#: Number of standard errors above which two values of a parameter are far apart.
+PROCESSES_FAR = 2.0
+#: Relative decrease of the sum of squares below which a step is unnecessary and a model is judged.
+PROCESSES_SETTLED = 1e-6
+#: Greatest probability that a record of noise alone passes the test.
+NOISE_CHANCE = 1e-2
+#: Probability of chance below which the colour of the noise has moved the estimate.
+PROCESSES_ELSEWHERE = 1e-3
+#: Greatest part of the right models in open loop that a test of unmodelled effects, of feedback, or of the other
+#: hold rejects.
+FALSE_ALARM = 1e-4
+#: Greatest residual that a wrong hold causes. Its unit is the difference between the responses with both holds at
+#: their first sample.
+WRONG_HOLD = 2.0
+#: Relative standard deviation above which a pole is unknown. The relative standard deviation of a real pole is at
+#: most half of the limit, because bars of two standard deviations do not cross zero.
+PROCESSES_UNKNOWN = 0.4
+#: Explained part of the output [%] below which a finding is due.
+POOR_FIT = 10.0
+#: Size of an outlier in robust standard deviations. `PROCESSES_FEW` is the greatest part of the samples that may be
+#: outliers.
+FAR_OUTLIER = 10.0
+PROCESSES_FEW = 0.01
 
 
 @dataclass(frozen=True)
@@ -70,7 +93,7 @@ def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | No
             return Hold()
     samples = sum(stretch.rows.size for stretch in white.stretches)
     gained = samples * np.log(max(mine.cost, 1e-300) / max(other.cost, 1e-300))
-    worth = chdtri(1, 2 * TUNING.false_alarm)
+    worth = chdtri(1, 2 * FALSE_ALARM)
     return Hold(bool(gained > worth), bool(abs(gained) <= worth and far))
 
 
@@ -79,7 +102,7 @@ def _far_apart(mine: ProcessPoint, other: ProcessPoint) -> bool:
     size = np.maximum(np.linalg.norm(mine.zeta, axis=0), 1e-300)
     scaled = mine.zeta / size
     variances = np.diag(np.linalg.inv(scaled.T @ scaled)) / size**2 * mine.cost / mine.error.size
-    return bool(np.any((mine.theta - other.theta) ** 2 > TUNING.processes_far**2 * variances))
+    return bool(np.any((mine.theta - other.theta) ** 2 > PROCESSES_FAR**2 * variances))
 
 
 def _swap_hold(problem: ProcessProblem) -> ProcessProblem:
@@ -145,7 +168,7 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
             rest = (
                 point
                 if smaller == structure
-                else settle(replace(problem, structure=smaller), settled=TUNING.processes_settled).point
+                else settle(replace(problem, structure=smaller), settled=PROCESSES_SETTLED).point
             )
             noise = estimate_residual_noise(pair_inputs(problem, rest.error), rest.zeta)
             if noise is None:
@@ -157,7 +180,7 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
             full = descend(white, start).point
             surplus = structure.n > least and not _reduces_residual(
-                settle(replace(white, structure=smaller), settled=TUNING.processes_settled).point.cost,
+                settle(replace(white, structure=smaller), settled=PROCESSES_SETTLED).point.cost,
                 full.cost,
                 point.error.size,
                 2,
@@ -182,7 +205,7 @@ def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
     size = np.sqrt(np.diagonal(cov))
     scaled = difference / size
     distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
-    return bool(distance > chdtri(difference.size, TUNING.processes_elsewhere))
+    return bool(distance > chdtri(difference.size, PROCESSES_ELSEWHERE))
 
 
 def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]:
@@ -199,7 +222,7 @@ def _reduces_residual(whole: float, left: float, samples: int, unknowns: int) ->
     from scipy.special import chdtri  # slow to import
 
     ratio = samples * np.log(max(whole, 1e-300) / max(left, 1e-300))
-    return bool(ratio > chdtri(unknowns, TUNING.noise_chance / samples))
+    return bool(ratio > chdtri(unknowns, NOISE_CHANCE / samples))
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +292,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0, resolution: f
         simulated = [simulate(problem.structure, theta, initial, stretch)[stretch.rows] for stretch, initial in pairs]
     measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
-    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < ESTIMATOR_TUNING.beyond:
+    if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < BEYOND:
         raise NotIdentifiableError(
             "the simulated output exceeds the range of floating-point numbers: the records do not identify the "
             "transfer function; excite the process more, or use fewer poles and zeros"
@@ -307,8 +330,8 @@ def _doubts(
         parts.append(ResidualStretch(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
     known = point.zeta[np.concatenate(kept)]
     return (
-        chance_of_response(parts, known) < TUNING.false_alarm,
-        chance_of_feedback(parts, known, _direct(problem, point)) < TUNING.false_alarm,
+        chance_of_response(parts, known) < FALSE_ALARM,
+        chance_of_feedback(parts, known, _direct(problem, point)) < FALSE_ALARM,
         depends_on_input(problem, point),
         look_at_hold(problem, point, estimate_residual_noise(parts, known)),
         residual_repeats(problem, point),
@@ -323,7 +346,7 @@ def _look_within(problem: ProcessProblem, theta: Floats, resolution: float) -> S
         return Second(False, False)
     smaller = replace(problem, structure=replace(structure, n=structure.n - 1, m=max(structure.m - 1, 0)))
     with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError, ValueError):
-        start = settle(smaller, settled=TUNING.processes_settled).point
+        start = settle(smaller, settled=PROCESSES_SETTLED).point
         return Second(explain_counts(smaller, start, resolution) is not None, False)
     return Second(False, False)
 
@@ -337,7 +360,7 @@ def _doubts_within(
         start = descend(other, visit(other, point.theta, point.initial)).point
         if (within := explain_counts(other, start, resolution)) is not None:
             apart = within[0].theta - point.theta
-            hidden = bool(np.any(apart**2 > TUNING.processes_far**2 * np.diag(within[1])))
+            hidden = bool(np.any(apart**2 > PROCESSES_FAR**2 * np.diag(within[1])))
     return False, False, depends_on_input(problem, point), Hold(False, hidden), False
 
 
@@ -349,7 +372,7 @@ def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]
     stretch = problem.stretches[0]
     grid = Grid(float(np.median(stretch.grid.steps)), 2)
     change = transition(companion(a), np.eye(a.size)[-1], grid).change
-    size = TUNING.wrong_hold * float(b[: a.size] @ change[: b.size]) * (1.0 if stretch.held else -1.0)
+    size = WRONG_HOLD * float(b[: a.size] @ change[: b.size]) * (1.0 if stretch.held else -1.0)
     return (min(0.0, size), max(0.0, size))
 
 
@@ -390,7 +413,7 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
     - uncertain: a pole is unknown or unnecessary, or moves when the noise is whitened.
     - model_spread: the other hold explains the record equally well and moves a parameter beyond its standard error.
     """
-    unknown = np.any(np.hypot(*process.poles_std.T) > TUNING.processes_unknown * np.abs(process.poles))
+    unknown = np.any(np.hypot(*process.poles_std.T) > PROCESSES_UNKNOWN * np.abs(process.poles))
     uncertain = checks.second.surplus or checks.second.moved or bool(unknown)
     found = {
         "feedback": checks.feedback and not referenced,
@@ -459,16 +482,16 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
     """Return findings on doubtful values in an estimate."""
     residual = np.concatenate(checks.residual)
     spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    far = int(np.sum(np.abs(residual - np.median(residual)) > TUNING.far_outlier * spread)) if spread > 0 else 0
+    far = int(np.sum(np.abs(residual - np.median(residual)) > FAR_OUTLIER * spread)) if spread > 0 else 0
     found = []
     unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
     if unknown:
         found.append(f"the error may exceed the value of {', '.join(unknown)}; try fewer poles or zeros")
-    if 0 < far <= TUNING.processes_few * residual.size:
+    if 0 < far <= PROCESSES_FEW * residual.size:
         found.append(
             f"{far} samples of the output are far from the others and may decide the estimate: leave them empty"
         )
-    if 0 <= checks.fit < TUNING.poor_fit:
+    if 0 <= checks.fit < POOR_FIT:
         found.append(f"the model explains only {checks.fit:.2g} % of the output")
     if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
         found.append("the residual has a mean: set [model] offset = true")
@@ -523,6 +546,6 @@ def search_notes(search: Search) -> list[str]:
             "the residual of the best structure is not white, even after the whitening filter, so the criterion may "
             "prefer too many poles and zeros; take the smallest structure that fits nearly as well"
         )
-    if best.fit < TUNING.poor_fit:
+    if best.fit < POOR_FIT:
         found.append(f"the best structure explains only {max(best.fit, 0.0):.2g} % of the output, possibly by chance")
     return found

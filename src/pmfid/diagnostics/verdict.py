@@ -13,11 +13,11 @@ from pmfid.diagnostics.matter import Matter, matter_of, sizes, weigh_findings
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
+from pmfid.estimators.known import CONTRADICTED
 from pmfid.estimators.ls import LS
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import RLS
 from pmfid.estimators.sample_steps import SampleSteps
-from pmfid.estimators.tuning import TUNING
 from pmfid.findings import MOVE, Finding, sort_findings
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.findings import findings_of
@@ -108,7 +108,7 @@ def _compare(estimator: Estimator, fitted: Fitted, theta: Floats, std: Floats, t
         apart = abs(value - better)
         if not apart > tolerance * scale:
             continue
-        if apart > TUNING.contradicted * np.hypot(own, bar):
+        if apart > CONTRADICTED * np.hypot(own, bar):
             sentence = f"{name} = {value:.4g} is biased by the method: the fit gives {better:.4g}"
             yield Finding("biased", sentence, 'set method = "auto"')
         elif apart > max(own, bar):
@@ -119,7 +119,7 @@ def _compare(estimator: Estimator, fitted: Fitted, theta: Floats, std: Floats, t
 def _check_sizes(estimator: Estimator, theta: Floats, std: Floats) -> Iterator[Finding]:
     equation = estimator.equation
     for name, value, deviation, positive in zip(equation.names, theta, std, equation.positive, strict=False):
-        if positive and value + TUNING.contradicted * deviation < 0:
+        if positive and value + CONTRADICTED * deviation < 0:
             yield Finding(
                 "implausible", f"{name} is negative", "check sign and scale of the input and the encoder", "wrong"
             )

@@ -14,7 +14,6 @@ from pmfid.elementary import exp
 from pmfid.estimators.base import Estimator, shapes_of
 from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import BCRLS, impulse_products
-from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import kernel_of, make_config
@@ -23,6 +22,25 @@ from pmfid.models.equation import ROLES, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
+
+#: Time constant of the estimate's slow copy, which drives the model, in filter time constants. The instruments must
+#: not follow the noise of the samples that they are multiplied with.
+COPY_TIME_CONSTANTS = 17.0
+#: The model is not trusted if the mean square error of its velocity exceeds this part of the mean square velocity.
+MISMATCH_LIMIT = 0.2
+#: Value for equations with shapes. With 3 the first samples still mattered after 4000 samples; with 7 the error
+#: bars were longer.
+GROWING_WITH_SHAPES = 5
+#: Memory of the comparison between the model's and the measured velocity, in filter time constants.
+CHECK_TIME_CONSTANTS = 30.0
+#: Memory of the comparison that reveals a model ahead of the plant, in filter time constants. The second value is
+#: the span of samples for one comparison, in the same unit.
+LAG_TIME_CONSTANTS = 1000.0
+ALIKE_TIME_CONSTANTS = 2.0
+#: The equation is called wrong on-line if the mean square innovation exceeds this multiple of a white encoder
+#: error. The second value is the length of the two compared stretches, in filter time constants.
+AUXILIARY_UNEXPLAINED = 2.5
+MODEL_CHECK_TIME_CONSTANTS = 50.0
 
 T = TypeVar("T")
 
@@ -126,12 +144,12 @@ def _make_config(estimator: Estimator, forgetting: float, has_initial: bool, ada
         "dt": estimator.dt,
         "input_gain": estimator.equation.input_gain,
         "position_gain": _position_gain(estimator),
-        "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / TUNING.copy_time_constants),
-        "memory": exp(-estimator.cutoff * estimator.dt / TUNING.check_time_constants),
-        "mismatch_limit": TUNING.mismatch_limit,
+        "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / COPY_TIME_CONSTANTS),
+        "memory": exp(-estimator.cutoff * estimator.dt / CHECK_TIME_CONSTANTS),
+        "mismatch_limit": MISMATCH_LIMIT,
         "noise_power": _cache_result(estimator, _noise_power),
-        "lag_memory": exp(-estimator.cutoff * estimator.dt / TUNING.lag_time_constants),
-        "lag_samples": max(1.0, TUNING.alike_time_constants / (estimator.cutoff * estimator.dt)),
+        "lag_memory": exp(-estimator.cutoff * estimator.dt / LAG_TIME_CONSTANTS),
+        "lag_samples": max(1.0, ALIKE_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(_alike(direct.equation, estimator.equation)),
         "index": _indices(estimator.equation.roles),
         "initial": (),
@@ -175,8 +193,8 @@ def _check_of_model(estimator: Estimator) -> dict[str, object]:
     responses = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
     return {
         "noise": estimator.encoder.rounding_variance * responses,
-        "unexplained": TUNING.auxiliary_unexplained,
-        "check_samples": float(math.ceil(TUNING.model_check_time_constants / (estimator.cutoff * estimator.dt))),
+        "unexplained": AUXILIARY_UNEXPLAINED,
+        "check_samples": float(math.ceil(MODEL_CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt))),
     }
 
 
@@ -186,7 +204,7 @@ def _growing(estimator: Estimator) -> int:
     The model starts from the direct estimate, which mistakes friction of a shape for another friction. The model
     therefore needs a long way, and early samples must be forgotten faster.
     """
-    return TUNING.growing_with_shapes if estimator.equation.shaped else 1
+    return GROWING_WITH_SHAPES if estimator.equation.shaped else 1
 
 
 def _position_gain(estimator: Estimator) -> float:
@@ -196,7 +214,7 @@ def _position_gain(estimator: Estimator) -> float:
     step. A spring is sensitive to a step, so that its correction is as slow as the adaptation of the model.
     """
     waits = 1.0 if any(term.shape and not term.shape.of_speed for term in estimator.equation.shaped) else None
-    return min(1.0, estimator.cutoff * estimator.dt / (waits or TUNING.copy_time_constants))
+    return min(1.0, estimator.cutoff * estimator.dt / (waits or COPY_TIME_CONSTANTS))
 
 
 def _alike(direct: Equation, equation: Equation) -> list[int | None]:
@@ -237,5 +255,5 @@ def _noise_power(estimator: Estimator) -> float:
     for _ in range(estimator.order):
         gain = estimator.cutoff / (2 / estimator.dt + estimator.cutoff)
         impulse, _ = first_order(impulse, pole, gain, gain)
-    samples = TUNING.check_time_constants / (estimator.cutoff * estimator.dt)
+    samples = CHECK_TIME_CONSTANTS / (estimator.cutoff * estimator.dt)
     return float(12 * estimator.encoder.rounding_variance * products(impulse[None])[0, 0] * samples)

@@ -22,7 +22,6 @@ from pmfid.estimators.configuration import (
 )
 from pmfid.estimators.plants import PlantDefaults, plant_of
 from pmfid.estimators.sample_steps import SampleSteps, StepsOption, read_steps
-from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import TURN, Network, Taps, scale_taps
@@ -35,6 +34,13 @@ from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
+
+MAX_SETTLE_SAMPLES = 10**8
+#: Number of first updates in which a solution corrects the rounding of the last one. Later the innovations alone
+#: move theta. float64 without forgetting never changes over.
+RESIDUAL_UPDATES = 256
+#: Largest forgetting factor in float32, whose sums stop growing at 2^24 samples.
+FLOAT32_FORGETTING = 0.999999
 
 #: Number of time constants after which the filters' start has decayed to less than 1 %, for each order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
@@ -101,7 +107,7 @@ class Estimator:
             )
         self._check_steps()
         self._check_late()
-        if self.settle_samples > TUNING.max_settle_samples:
+        if self.settle_samples > MAX_SETTLE_SAMPLES:
             raise UsageError(
                 f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle "
                 f"after {self.settle_samples:.2g} samples; use a higher cutoff, of the order of the poles of "
@@ -336,7 +342,7 @@ class Estimator:
     @property
     def settle_samples(self) -> int:
         constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
-        return math.ceil(constants / max(self.cutoff * self.dt, 1 / TUNING.max_settle_samples)) + 3
+        return math.ceil(constants / max(self.cutoff * self.dt, 1 / MAX_SETTLE_SAMPLES)) + 3
 
     def recursion_config(
         self, parameters: int, instrumental: bool, forgetting: float, first_column: int = 0
@@ -349,7 +355,7 @@ class Estimator:
             "first_column": first_column,
             "every": 1,
             "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
-            "residual_updates": 2**32 - 1 if exact else TUNING.residual_updates,
+            "residual_updates": 2**32 - 1 if exact else RESIDUAL_UPDATES,
             "forgetting": longest_forgetting(forgetting, self.precision),
             "regularization": self.plant.regularization,
             "pivot": self.plant.pivot,
@@ -387,7 +393,7 @@ def shapes_of(equation: Equation, network: Network) -> dict[str, object]:
 
 def longest_forgetting(forgetting: float, precision: str) -> float:
     """Return the forgetting factor of a kernel. A float32 sum of more samples would not take a further one."""
-    return min(forgetting, TUNING.float32_forgetting) if precision == "float32" else forgetting
+    return min(forgetting, FLOAT32_FORGETTING) if precision == "float32" else forgetting
 
 
 def memory_of(forgetting: float, dt: float) -> float:

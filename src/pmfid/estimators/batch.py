@@ -13,18 +13,26 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays, check_size, integer_counts
 from pmfid.estimators.least_squares import level_of, long_run_covariance
+from pmfid.estimators.plants import START_PIVOT
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.stretches import parts_of
-from pmfid.estimators.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
+#: A target that is closer to one regressor alone, or a sensitivity that is closer to the others, relative to its
+#: size, identifies no other parameter.
+TARGET_APART = 1e-6
+#: Largest number whose square stays within the format.
+BEYOND = 1e120
+#: Part of a column's power that products of columns show accurately. The rounding error is 1e-16 over its square.
+PRODUCTS_ACCURATE = 1e-5
+
 
 def check_identifiable(
-    columns: Columns, names: tuple[str, ...], least_part: float = TUNING.start_pivot, simulated: bool = False
+    columns: Columns, names: tuple[str, ...], least_part: float = START_PIVOT, simulated: bool = False
 ) -> None:
     """Raise NotIdentifiableError with a parameter's name if a column is zero or a combination of the other columns.
     With `simulated`, the equation holds only while the simulated motion moves."""
@@ -38,7 +46,7 @@ def check_identifiable(
             f"{len(names)} parameters; record longer, or use a higher cutoff"
         )
     parts = (columns.phi, columns.z, columns.zeta)
-    if not max(np.max([np.max(part), -np.min(part)]) for part in parts) < TUNING.beyond:
+    if not max(np.max([np.max(part), -np.min(part)]) for part in parts) < BEYOND:
         raise NotIdentifiableError(
             "the measured or the simulated motion exceeds the range of numbers: check the scales of "
             "input and output, and the signs in [model]"
@@ -70,8 +78,8 @@ def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
     """
     for name, column in zip(names, columns.phi.T, strict=True):
         norm = float(np.linalg.norm(column))
-        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, 1 / TUNING.beyond))
-        if norm > 0 and apart < TUNING.target_apart * np.linalg.norm(columns.z):
+        apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, 1 / BEYOND))
+        if norm > 0 and apart < TARGET_APART * np.linalg.norm(columns.z):
             raise NotIdentifiableError(
                 f"the input is proportional to the regressor of {name} all the time: the excitation is too "
                 "poor; record reversals, and an input that changes while the axis moves"
@@ -99,7 +107,7 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
 def _are_apart(columns: Columns, least_part: float) -> bool:
     """Return whether products show that the target, the regressors and the instruments are far from each other. A
     decomposition of the columns takes ten times as long, and is needed only if the products are too inaccurate."""
-    least, z = max(TUNING.products_accurate, 2 * least_part), columns.z
+    least, z = max(PRODUCTS_ACCURATE, 2 * least_part), columns.z
     for matrix in (columns.phi, columns.zeta):
         products, along = matrix.T @ matrix, matrix.T @ z
         size = np.sqrt(np.diagonal(products))

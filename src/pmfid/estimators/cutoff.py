@@ -17,9 +17,23 @@ from pmfid.estimators.least_squares import long_run_covariance, solve_with_instr
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.results import Columns
 from pmfid.estimators.stretches import liveliest
-from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Model
 from pmfid.types import Floats
+
+#: Tried time constants of the filters [samples]. A longer one averages the encoder's error more, and a shorter one
+#: keeps more information on the mass. The first with an estimate gives the motion by which all are judged.
+CUTOFF_TRIED = (10, 30, 3, 100, 300)
+#: Filter time constants in the shortest record.
+CUTOFF_LEAST = 30
+#: Filter time constants in the shortest on-line memory, and samples in the longest filter time constant. With
+#: slower filters, the recursion forgets its information before it may trust its instruments, and mostly falls back.
+#: On most axes from 3e-5 kg m2 to 500 kg, 30 samples were the best value.
+CUTOFF_REMEMBERED = 3
+CUTOFF_SLOWEST = 30
+#: Samples of the longest record that is used as a whole in each step. A longer record is represented by its
+#: liveliest stretch of this length where any part of it gives the same answer. The same number of samples chooses
+#: the pole of the first filters of srivc.
+STRETCH = 20_000
 
 
 def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> tuple[float, ...]:
@@ -34,7 +48,7 @@ def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike
     sets = estimator.plant.candidate_zeros(estimator.cutoff, estimator.memory, needed)
     batches = [like(BCLS, estimator, model=estimator.model.simple, prefilter_zeros=zeros) for zeros in sets]
     u, counts = check_arrays(u, counts)
-    most = counts.size if estimator.steps is not None else min(TUNING.stretch, counts.size)
+    most = counts.size if estimator.steps is not None else min(STRETCH, counts.size)
     for samples in sorted({most, counts.size}):
         part = liveliest(estimator.encoder.position(counts), samples)
         information = [_log_information(batch, u[part], counts[part]) for batch in batches]
@@ -71,15 +85,11 @@ def choose_cutoff(
     three from the best pole costs little. The liveliest stretch therefore stands for a long record if it gives an
     estimate. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator reports the fault of the record.
     """
-    most = counts.size / TUNING.cutoff_least
+    most = counts.size / CUTOFF_LEAST
     if forgetting < 1:
-        most = min(
-            most, TUNING.cutoff_slowest, max(1 / (1 - forgetting) / TUNING.cutoff_remembered, min(TUNING.cutoff_tried))
-        )
-    poles = [1 / (samples * dt) for samples in TUNING.cutoff_tried if samples <= most] or [
-        1 / (TUNING.cutoff_tried[0] * dt)
-    ]
-    for samples in sorted({min(TUNING.stretch, counts.size), counts.size}):
+        most = min(most, CUTOFF_SLOWEST, max(1 / (1 - forgetting) / CUTOFF_REMEMBERED, min(CUTOFF_TRIED)))
+    poles = [1 / (samples * dt) for samples in CUTOFF_TRIED if samples <= most] or [1 / (CUTOFF_TRIED[0] * dt)]
+    for samples in sorted({min(STRETCH, counts.size), counts.size}):
         part = liveliest(encoder.position(counts), samples)
         sizes: dict[float, float] = {}
         for model in models:

@@ -13,7 +13,6 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import check_arrays, check_edges, check_size
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit
-from pmfid.estimators.tuning import TUNING
 from pmfid.fit.edges import FEWEST, EdgeSearch, fit_edges
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
@@ -21,6 +20,11 @@ from pmfid.fit.machine import machine_of
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.search import EXPLAINED
 from pmfid.types import Counts, Flags, Floats
+
+#: Largest relative excess of an age over the step of the clock.
+EDGES_LATE = 1e-6
+#: Relative accuracy to which times and forces are known. Crystals are made to 20 ppm.
+EDGES_EXACT = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +49,7 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
         raise UsageError(f"ages must have the shape of counts, {counts.shape}, got {given.shape}")
     step, change = np.diff(t, prepend=t[0]), np.diff(counts, prepend=counts[:1])
     there = np.isfinite(given) & (change != 0)
-    wrong = there & ~((given >= 0) & (given <= step * (1 + TUNING.edges_late)))
+    wrong = there & ~((given >= 0) & (given <= step * (1 + EDGES_LATE)))
     if np.any(wrong):
         row = int(np.argmax(wrong))
         raise UsageError(
@@ -141,8 +145,8 @@ class EdgeFit(MotionFit):
             return surer, (f"{sentence} only they were used",)
         if self.lines is not None:
             notes += _describe_lines(search, self.lines)
-        sure = np.diag((TUNING.edges_exact * fitted.theta) ** 2)
-        half = np.hypot(fitted.half, 1.96 * TUNING.edges_exact * np.abs(fitted.theta))
+        sure = np.diag((EDGES_EXACT * fitted.theta) ** 2)
+        half = np.hypot(fitted.half, 1.96 * EDGES_EXACT * np.abs(fitted.theta))
         return replace(fitted, covariance=fitted.covariance + sure, half=half), tuple(notes)
 
     def _try_counts(self, record: tuple[Floats, Counts, Flags, Floats | None], fitted: Fitted) -> Fitted | None:

@@ -14,9 +14,16 @@ from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import integer_counts, numbers
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
-from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.saved import fleet_layout, load_fleet, save_fleet
 from pmfid.types import Floats, Numbers
+
+#: The number of axes that a thread takes at once is a multiple of this number, the size of the kernel's largest
+#: vector.
+FLEET_GROUP = 16
+#: Pieces of work for each thread. Smaller pieces shorten the wait for the last thread.
+FLEET_PIECES = 4
+#: Less work than this [axes times samples] is not worth a second thread.
+FLEET_SMALL = 20_000
 
 N = TypeVar("N", bound=np.number)
 E = TypeVar("E", bound=RecursiveEstimator)
@@ -143,15 +150,15 @@ class Fleet(Generic[E]):
         def run(piece: range) -> None:
             self._kernel.run(u, counts, piece.start, piece.stop, every, results, self._way)
 
-        if self.workers == 1 or counts.size < TUNING.fleet_small:
+        if self.workers == 1 or counts.size < FLEET_SMALL:
             run(range(self.axes))
             return
         with ThreadPoolExecutor(self.workers) as pool:
             list(pool.map(run, self._pieces()))
 
     def _pieces(self) -> Iterator[range]:
-        size = -(-self.axes // (self.workers * TUNING.fleet_pieces))
-        size = -(-size // TUNING.fleet_group) * TUNING.fleet_group
+        size = -(-self.axes // (self.workers * FLEET_PIECES))
+        size = -(-size // FLEET_GROUP) * FLEET_GROUP
         return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
     def axis(self, index: int) -> E:

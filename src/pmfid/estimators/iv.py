@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
-from pmfid.estimators.batch import BatchEstimator, check_identifiable, filter_parts
+from pmfid.estimators.batch import BEYOND, BatchEstimator, check_identifiable, filter_parts
 from pmfid.estimators.configuration import check_arrays, check_size, like
 from pmfid.estimators.least_squares import inverse_of, solve_bounded, solve_with_instruments
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.recursive import RecursiveEstimator, impulse_products
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -32,6 +31,23 @@ from pmfid.status import Status
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
+
+INSTRUMENTS_MAX_ITERATIONS = 40
+INSTRUMENTS_TOLERANCE = 1e-7
+#: Pass from which on steps are halved. A stop of the model that comes and goes with theta keeps the iteration in a
+#: small cycle.
+DAMPED_FROM = 15
+#: Relative size up to which such a cycle counts as converged.
+INSTRUMENTS_ACCEPTED = 2e-3
+#: A parameter may be zero if its term is less than this part of the target. The change of such a parameter is
+#: measured against this part.
+INSTRUMENTS_SMALL = 1e-2
+#: Length of a record's first part, in which the model's velocity forgets its unknown start.
+START_PART = 0.05
+#: Samples with equal counts at the start of a record that may begin at rest.
+REST_SAMPLES = 5
+#: Relative step of the difference quotients for the covariance.
+JACOBIAN_STEP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,15 +109,15 @@ class IV(BatchEstimator, Simulating):
         """Return the columns of the last iteration and theta (p,), as `fit` without the covariance. Raises the errors
         of `fit`."""
         theta = self.start(u, counts)
-        for turn in range(TUNING.instruments_max_iterations):
+        for turn in range(INSTRUMENTS_MAX_ITERATIONS):
             columns = self.columns_at(theta, u, counts)
             check_identifiable(columns, self.names, simulated=True)
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
-            if turn >= TUNING.damped_from:
+            if turn >= DAMPED_FROM:
                 theta = (theta + before) / 2
             change = _measure_change(columns, before, theta)
-            if change <= TUNING.instruments_tolerance or (
-                turn == TUNING.instruments_max_iterations - 1 and change <= TUNING.instruments_accepted
+            if change <= INSTRUMENTS_TOLERANCE or (
+                turn == INSTRUMENTS_MAX_ITERATIONS - 1 and change <= INSTRUMENTS_ACCEPTED
             ):
                 return columns, theta
         raise NotIdentifiableError(
@@ -121,7 +137,7 @@ class IV(BatchEstimator, Simulating):
         rests = self._rests(*check_arrays(u, counts), theta)
         jacobian = np.empty((theta.size, theta.size))
         size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
-        for i, step in enumerate(TUNING.jacobian_step * size):
+        for i, step in enumerate(JACOBIAN_STEP * size):
             moved = [theta + side * np.eye(theta.size)[i] for side in (step, -step)]
             sides = [self.columns_at(at, u, counts, rests) for at in moved]
             # two motions use different samples if one of them moves while the other rests
@@ -180,13 +196,13 @@ class IV(BatchEstimator, Simulating):
         columns, status = filter_parts(kernel, np.r_[np.zeros(before), u_array], np.r_[rest, counts_array], steps)
         columns, status = columns[before:], status[before:]
         used = (status & Status.SETTLING) == 0
-        used[: 0 if before else int(TUNING.start_part * used.size)] = False
+        used[: 0 if before else int(START_PART * used.size)] = False
         return columns, used, status
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
         """Return whether the axis rests at first, according to the counts and the friction of theta (p,)."""
-        begin = slice(0, TUNING.rest_samples)
-        if counts.size <= TUNING.rest_samples or np.any(counts[begin] != counts[0]):
+        begin = slice(0, REST_SAMPLES)
+        if counts.size <= REST_SAMPLES or np.any(counts[begin] != counts[0]):
             return False
         friction = min(
             (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
@@ -269,11 +285,7 @@ class RIV(Simulating, RecursiveEstimator):
 
 def _measure_change(columns: Columns, before: NDArray[np.float64], theta: NDArray[np.float64]) -> float:
     """Return the largest relative change of a parameter from `before` to `theta` (p,)."""
-    small = (
-        TUNING.instruments_small
-        * np.linalg.norm(columns.z)
-        / np.maximum(np.linalg.norm(columns.phi, axis=0), 1 / TUNING.beyond)
-    )
+    small = INSTRUMENTS_SMALL * np.linalg.norm(columns.z) / np.maximum(np.linalg.norm(columns.phi, axis=0), 1 / BEYOND)
     size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
     return float(np.max(np.abs(theta - before) / size))
 

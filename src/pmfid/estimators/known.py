@@ -16,8 +16,8 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
+from pmfid.estimators.iv import INSTRUMENTS_MAX_ITERATIONS
 from pmfid.estimators.results import Fit, Track
-from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Drive
 from pmfid.presentation import Parameters, Presentable, PresentableParameters, Summary, remarks_of
 from pmfid.status import status_names
@@ -25,6 +25,13 @@ from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
+
+KNOWN_CONVERGED = 1e-13
+#: No other information tests a fact whose remaining variance is below this part.
+KNOWN_UNTESTED = 1e-9
+#: A fact and a record, or a method and the fit, contradict each other from this number of standard deviations of
+#: their difference. A smaller error is noise.
+CONTRADICTED = 3.0
 
 
 @dataclass(frozen=True)
@@ -67,12 +74,12 @@ def combine(estimate: Floats, covariance: Floats, further: Floats, facts: Facts)
     total = covariance + further[..., None] * np.eye(estimate.shape[1])
     with np.errstate(all="ignore"):  # a parameter of zero or missing knowledge gives NaN
         a, b = estimate, _start(estimate, total, facts)
-        for _ in range(TUNING.instruments_max_iterations):
+        for _ in range(INSTRUMENTS_MAX_ITERATIONS):
             step = _linear(a, b, total, facts)
             rest = facts.value - step.h + _times(step.by_a, a - estimate)
             change = np.sum(step.gain_b * rest, axis=1)
             a, b, before = estimate + _times(step.gain_a, rest), b + change, b
-            if not np.any(np.abs(b - before) > TUNING.known_converged * np.abs(b)):
+            if not np.any(np.abs(b - before) > KNOWN_CONVERGED * np.abs(b)):
                 break
         return _make_combined(estimate, covariance, a, b, _linear(a, b, total, facts), facts)
 
@@ -149,7 +156,7 @@ def _make_combined(estimate: Floats, covariance: Floats, a: Floats, b: Floats, l
         "nik,k,nlk->nil", pull, facts.std**2, pull
     )
     rest = facts.value - last.h + _times(last.by_a, a - estimate)
-    tested = last.left > TUNING.known_untested * last.total
+    tested = last.left > KNOWN_UNTESTED * last.total
     apart = np.where(tested, rest / np.sqrt(np.where(tested, last.left, 1.0)), 0.0)
     return Combined(np.concatenate([own * a, b[:, None]], axis=1), noise, moves, apart)
 
@@ -323,7 +330,7 @@ class Known:
         named = [
             (name, f"{name} = {value:.6g}" + (f" ± {own:.2g}" if own else ""))
             for (name, (value, own)), away in zip(self._facts.items(), apart, strict=True)
-            if abs(away) > TUNING.contradicted
+            if abs(away) > CONTRADICTED
         ]
         if not named:
             return ()

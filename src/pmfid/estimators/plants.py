@@ -9,9 +9,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid.elementary import geometric
-from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import Equation
 from pmfid.types import Counts, Floats
+
+#: Relative pivot of the information matrix from which a first estimate exists.
+START_PIVOT = 1e-4
+#: Least number of time constants of the slowest pre-filter zero in a memory.
+ZERO_MEMORIES = 2
+#: Least ratio of the two zeros. With a ratio of three, a short memory had weak instruments.
+PLANTS_APART = 5.0
+#: Candidates for the faster zero, as parts of the cutoff. The slower zero is a thirtieth of the faster one.
+PLANTS_FRACTIONS = (1 / 5, 1 / 10, 1 / 20, 1 / 40, 1 / 80)
+PLANTS_RATIO = 30.0
+#: Candidates for the fastest zero of a linear process, and ratios of the fastest to the slowest zero. The zeros are
+#: evenly spaced on a logarithmic scale.
+PROCESS_FRACTIONS = (1 / 2, 1 / 4, 1 / 8, 1 / 16)
+PROCESS_RATIOS = (3.0, 10.0, 30.0)
+#: Example motion of a machine: counts per sample at full speed, and the parts of the input that the frictions take.
+COUNTS_PER_SAMPLE = 40.0
+VISCOUS_PART = 0.6
+COULOMB_PART = 0.3
+#: Counts of the example linear process for an input of one.
+PROCESS_COUNTS = 500.0
 
 
 @dataclass(frozen=True)
@@ -55,8 +74,8 @@ class MachineDefaults(PlantDefaults):
     """Defaults for a machine with friction. Position, direction and intervals of partial motion matter."""
 
     regularization: float = 1e-4  # P stays below 1e4 times its smallest value
-    pivot: float = TUNING.start_pivot
-    least_part: float = TUNING.start_pivot
+    pivot: float = START_PIVOT
+    least_part: float = START_PIVOT
     rests: bool = True
     extended: bool = True
     fewer: str = "unknown terms"
@@ -65,10 +84,7 @@ class MachineDefaults(PlantDefaults):
         return default_zeros(cutoff, memory)[:needed]
 
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
-        return [
-            limit_zeros(cutoff * part, cutoff * part / TUNING.plants_ratio, memory)[:needed]
-            for part in TUNING.plants_fractions
-        ]
+        return [limit_zeros(cutoff * part, cutoff * part / PLANTS_RATIO, memory)[:needed] for part in PLANTS_FRACTIONS]
 
     def zeros_without_record(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
         return self.default_zeros(cutoff, memory, needed)
@@ -76,8 +92,8 @@ class MachineDefaults(PlantDefaults):
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
         from pmfid._kernel64 import simulate
 
-        gain, full_speed = equation.input_gain, TUNING.counts_per_sample * resolution / dt
-        viscous, coulomb = TUNING.viscous_part * abs(gain) / full_speed, TUNING.coulomb_part * abs(gain)
+        gain, full_speed = equation.input_gain, COUNTS_PER_SAMPLE * resolution / dt
+        viscous, coulomb = VISCOUS_PART * abs(gain) / full_speed, COULOMB_PART * abs(gain)
         mass = viscous * 2 / cutoff
         velocity, *_ = simulate([mass, viscous, viscous, coulomb, coulomb, 0.0, 0.0], gain, dt, u)
         position = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * dt
@@ -103,10 +119,10 @@ class LinearProcess(PlantDefaults):
         return process_zeros(cutoff, needed)
 
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
-        ratios = TUNING.process_ratios if needed > 1 else TUNING.process_ratios[:1]
+        ratios = PROCESS_RATIOS if needed > 1 else PROCESS_RATIOS[:1]
         return [
             tuple(-cutoff * part * step for step in _spread(1.0, 1 / ratio, needed))
-            for part in TUNING.process_fractions
+            for part in PROCESS_FRACTIONS
             for ratio in ratios
         ]
 
@@ -120,7 +136,7 @@ class LinearProcess(PlantDefaults):
             y.append(states[-1])
             for i, source in enumerate([value, *states[:-1]]):
                 states[i] += part * (source - states[i])
-        return np.asarray(np.floor(TUNING.process_counts * np.asarray(y)).astype(np.int64))
+        return np.asarray(np.floor(PROCESS_COUNTS * np.asarray(y)).astype(np.int64))
 
 
 MACHINE, LINEAR_PROCESS = MachineDefaults(), LinearProcess()
@@ -150,7 +166,7 @@ def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
     the instruments after a large motion would be weak remains. The limit makes a slow zero faster, but keeps the zeros
     apart, because two similar zeros give the same instrument.
     """
-    return (-fast, -min(max(slow, TUNING.zero_memories / memory), max(slow, fast / TUNING.plants_apart)))
+    return (-fast, -min(max(slow, ZERO_MEMORIES / memory), max(slow, fast / PLANTS_APART)))
 
 
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:

@@ -20,7 +20,6 @@ from pmfid.estimators.configuration import check_arrays, configuration_of, const
 from pmfid.estimators.least_squares import level_of
 from pmfid.estimators.results import Track
 from pmfid.estimators.sample_steps import check_steps
-from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 from pmfid.kernel.saved import load_state, save_state
@@ -30,6 +29,18 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import Kernel
+
+#: Samples of a response in memory at once.
+RECURSIVE_PART = 2**17
+#: Least encoder error in the leading column.
+RECURSIVE_LEAST = 1e-18
+#: Number of frequencies for the gain of an encoder's error, and their decades below the sampling frequency.
+RECURSIVE_FREQUENCIES = 4096
+RECURSIVE_DECADES = 9
+#: Factor by which the recursion forgets information from larger earlier motions faster.
+RECURSIVE_HASTE = 8
+#: Information above this multiple of the last memory's information counts as that of larger motions.
+RECURSIVE_OUTGROWN = 3
 
 
 def noise_covariance(estimator: Estimator) -> NDArray[np.float64]:
@@ -54,8 +65,8 @@ def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]
 def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
     """Yield parts (c, n) of the columns' responses to one wrong position. A low cutoff makes millions of samples."""
     samples, memories = 4 * estimator.settle_samples, [0.0 for _ in network.stages]
-    for first in range(0, samples, TUNING.recursive_part):
-        nodes = [np.zeros(min(TUNING.recursive_part, samples - first)) for _ in range(network.first)]
+    for first in range(0, samples, RECURSIVE_PART):
+        nodes = [np.zeros(min(RECURSIVE_PART, samples - first)) for _ in range(network.first)]
         if first == 0:
             nodes[VELOCITY][:2] = np.array([1.0, -1.0]) / estimator.dt  # mean velocities that one wrong position causes
             nodes[SPLIT_FORWARD][1:3] = nodes[VELOCITY][:2]
@@ -78,7 +89,7 @@ def compute_encoder_floor(estimator: Estimator) -> float:
     column = builder.coefficient(estimator.equation.unknown[estimator.equation.leading], "measured")
     real, imaginary = frequency_response(estimator, builder.network, column)
     gain = math.sqrt(np.max(real * real + imaginary * imaginary))
-    error = max(estimator.encoder.resolution / 2 * gain, TUNING.recursive_least)  # float32 holds the inverse square
+    error = max(estimator.encoder.resolution / 2 * gain, RECURSIVE_LEAST)  # float32 holds the inverse square
     return 1 / (error * error)
 
 
@@ -101,14 +112,14 @@ def _add(a: Complex, b: Complex) -> Complex:
 @lru_cache
 def _delay() -> Complex:
     """Return the response of a delay by one sample at the frequencies of `frequency_response`."""
-    turns = geometric(0.5 * power(10.0, -TUNING.recursive_decades), 0.5, TUNING.recursive_frequencies)
+    turns = geometric(0.5 * power(10.0, -RECURSIVE_DECADES), 0.5, RECURSIVE_FREQUENCIES)
     cosine, sine = cos_sin(turns)
     return cosine, -sine
 
 
 def frequency_response(estimator: Estimator, network: Network, column: Taps) -> Complex:
-    """Return the response (recursive_frequencies,) of a column to position errors up to half the sampling frequency."""
-    late, none = _delay(), (np.zeros(TUNING.recursive_frequencies), np.zeros(TUNING.recursive_frequencies))
+    """Return the response (RECURSIVE_FREQUENCIES,) of a column to position errors up to half the sampling frequency."""
+    late, none = _delay(), (np.zeros(RECURSIVE_FREQUENCIES), np.zeros(RECURSIVE_FREQUENCIES))
     nodes = [none for _ in range(network.first)]
     nodes[VELOCITY] = _scale((1 - late[0], -late[1]), 1 / estimator.dt)
     nodes[SPLIT_FORWARD] = _multiply(late, nodes[VELOCITY])
@@ -199,16 +210,16 @@ class RecursiveEstimator(Estimator):
         if self.plant.rests:
             config["leading"] = self.equation.leading
         # even outdated information must last from one solution to the next
-        every = LOOK if 0 < LOOK * TUNING.recursive_haste * (1 - forgetting) <= 1 else 1
+        every = LOOK if 0 < LOOK * RECURSIVE_HASTE * (1 - forgetting) <= 1 else 1
         config["every"] = every
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / every)
             config["haste"], config["leak"] = (
-                power(forgetting, TUNING.recursive_haste),
-                exp(-TUNING.recursive_haste / 2),
+                power(forgetting, RECURSIVE_HASTE),
+                exp(-RECURSIVE_HASTE / 2),
             )
             config["shown"] = compute_encoder_floor(self)
-            config["outgrown"] = TUNING.recursive_outgrown * every
+            config["outgrown"] = RECURSIVE_OUTGROWN * every
         return config
 
     def start(self, state: bytes | None = None) -> Self:

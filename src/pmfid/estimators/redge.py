@@ -19,7 +19,6 @@ from pmfid.estimators.configuration import (
     resume_estimator,
 )
 from pmfid.estimators.results import Track
-from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.saved import load_edge_state, save_edge_state
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE, Equation
@@ -27,6 +26,9 @@ from pmfid.models.equation import ESTIMATE, Equation
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import EdgeKernel
+
+#: On-line each line has 8 sums; this many lines are 4 MB.
+MOST_LINES = 65536
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class REdge:
     def __post_init__(self) -> None:
         check_positive("dt", self.dt, "it is the sample period in s")
         self._check_model()
-        check_edges(self.lines, self.tick, self.dt, TUNING.most_lines)
+        check_edges(self.lines, self.tick, self.dt, MOST_LINES)
         if self.memory is not None:
             check_positive(
                 "memory", self.memory, "it is the time constant of forgetting in s, or None for no forgetting"

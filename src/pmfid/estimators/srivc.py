@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.batch import TARGET_APART, BatchEstimator
 from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input
+from pmfid.estimators.cutoff import STRETCH
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.results import Fit
-from pmfid.estimators.tuning import TUNING
 from pmfid.linear.counts import explain_counts
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
@@ -34,6 +34,9 @@ from pmfid.linear.solve import (
 from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
+
+#: Largest relative difference of two sample periods that count as equal.
+SAME_PERIOD = 0.05
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
         raise UsageError("experiments must be a list of Experiments; write [experiment] for a single one")
     for part in experiments:
         mean = float(part.times[-1] - part.times[0]) / (part.times.size - 1)  # jitter moves the median, gaps the mean
-        if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > TUNING.same_period:
+        if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > SAME_PERIOD:
             raise UsageError(
                 f"dt of the estimator is {estimator.dt:.9g} s, but {part.name} has a sample every "
                 f"{part.period:.9g} s; give the estimator the dt of the data, because it counts the delay in "
@@ -177,7 +180,7 @@ def choose_start_pole(model: Model, experiments: Sequence[Experiment]) -> float:
     The poles are octaves apart, from four time constants in the longest record to half the inverse of the sample
     period. Raises UsageError without a usable record.
     """
-    dt, most = experiments[0].period, TUNING.stretch
+    dt, most = experiments[0].period, STRETCH
     poles = 0.5 / dt * 0.5 ** np.arange(max(1, round(np.log2(max(part.u.size for part in experiments))) - 2))
     parts = [part.cut(most) for part in experiments]
     problems = (make_problem(SRIVC(model, Encoder(1.0), dt, pole), parts) for pole in poles.tolist())
@@ -247,7 +250,7 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
         countable = np.all(np.isfinite(np.linalg.norm(point.zeta, axis=0)))
     parts = parts_of_their_own(point.zeta, rcond=1e-13)[0] if countable else np.zeros(len(names))
     worst = int(np.argmin(parts))
-    if not parts[worst] > TUNING.target_apart:
+    if not parts[worst] > TARGET_APART:
         raise NotIdentifiableError(
             f"{names[worst]} has too little effect of its own on the output, because the excitation is "
             "poor or the order of the model is too high; use fewer poles or zeros, or a more varied input"

@@ -11,12 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays
+from pmfid.estimators.plants import COULOMB_PART, VISCOUS_PART
 from pmfid.estimators.redge import REdge
-from pmfid.estimators.tuning import TUNING
 from pmfid.export.c_text import initializer, literal
 from pmfid.export.samples import Samples, make_up_input, moving_part
 from pmfid.kernel.saved import config_number, edge_configuration, tight_edge_state, tight_edge_structures
 from pmfid.kernel.structures import EDGE_HEADERS, Structures, header, layout_number
+
+#: Example motion with edges: counts per sample at full speed, time constant [samples], and instants in a sample.
+EDGES_PER_SAMPLE = 3.0
+EDGES_SLOW = 10.0
+EDGES_INSTANTS = 20
 
 #: Patterns of the copied sources, and those of the other exports among them.
 COPIED = (
@@ -43,11 +48,11 @@ def make_up_edges(estimator: REdge) -> tuple[NDArray[np.float64], NDArray[np.int
     """Return input, counts and ages (n,) of a body that reverses and rests."""
     from pmfid._kernel64 import simulate
 
-    u, dt, gain, parts = make_up_input(), estimator.dt, float(estimator.model.input_gain), TUNING.edges_instants
+    u, dt, gain, parts = make_up_input(), estimator.dt, float(estimator.model.input_gain), EDGES_INSTANTS
     step, fine = estimator.encoder.resolution, dt / parts
-    viscous = TUNING.viscous_part * abs(gain) * dt / (TUNING.edges_per_sample * step)
-    coulomb = TUNING.coulomb_part * abs(gain)
-    body = [viscous * TUNING.edges_slow * dt, viscous, viscous, coulomb, coulomb, 0.0, 0.0]
+    viscous = VISCOUS_PART * abs(gain) * dt / (EDGES_PER_SAMPLE * step)
+    coulomb = COULOMB_PART * abs(gain)
+    body = [viscous * EDGES_SLOW * dt, viscous, viscous, coulomb, coulomb, 0.0, 0.0]
     velocity, *_ = simulate(body, gain, fine, np.repeat(u, parts))
     place = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * fine
     path, lines = Trajectory.sample(place, fine), Lattice(step, 0.3 * step, np.zeros(1))

@@ -11,11 +11,11 @@ import numpy as np
 from pmfid.config.axis import Axis, check_sampling
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.cutoff import CUTOFF_TRIED
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.stretches import parts_of
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.pipeline.drives import make_estimator, match_kind
@@ -158,7 +158,7 @@ def _cut_gaps(record: Record) -> Record:
 def _choose_for(given: Axis, axis: Axis, record: Record) -> RecursiveEstimator | REdge:
     if takes_edges(given):
         return replace(make_edge_estimator(given, record), memory=None)
-    cutoff = axis.estimator.cutoff or 1 / (min(ESTIMATOR_TUNING.cutoff_tried) * record.dt)
+    cutoff = axis.estimator.cutoff or 1 / (min(CUTOFF_TRIED) * record.dt)
     update = {"cutoff": cutoff, "forgetting": forgetting_of(TUNING.settings_segment, record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
     return recursive(make_estimator(match_kind(record, own), record))

@@ -21,8 +21,7 @@ from pmfid.io.reading import ENDINGS, READERS, read_table
 from pmfid.io.safety import readable, require_extra
 from pmfid.io.tables import LONGEST_CELL, table_of
 from pmfid.pipeline.edges import takes_edges
-from pmfid.records.clock import UNITS, time_factor
-from pmfid.records.tuning import TUNING as RECORD_TUNING
+from pmfid.records.clock import CLOCK_EPOCHS, UNITS, time_factor
 
 #: Length of each unit of time [s].
 SECONDS = UNITS | {"min": 60.0, "h": 3600.0, "d": 86_400.0}
@@ -130,13 +129,12 @@ def other_unit(first: float, last: float, factor: float) -> str:
 
     In all other cases the remedy is empty. `factor` is the number of seconds per assumed unit.
     """
-    if last < RECORD_TUNING.clock_epochs[1]:
+    if last < CLOCK_EPOCHS[1]:
         return ""
     fitting = [
         unit
         for unit, length in UNITS.items()
-        if RECORD_TUNING.clock_epochs[0] <= first / factor * length
-        and last / factor * length < RECORD_TUNING.clock_epochs[1]
+        if CLOCK_EPOCHS[0] <= first / factor * length and last / factor * length < CLOCK_EPOCHS[1]
     ]
     if not fitting:
         return ""
@@ -277,7 +275,7 @@ class Part:
             for name in texts
         ]
         if schema.get(columns.time) == pl.Float32:
-            step = np.spacing(np.float32(RECORD_TUNING.clock_epochs[0]))
+            step = np.spacing(np.float32(CLOCK_EPOCHS[0]))
             notes.append(
                 f"{columns.time} has 32 bits, which resolve a date only to {step:.0f} s: write the column as float64"
             )

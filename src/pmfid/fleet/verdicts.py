@@ -16,7 +16,7 @@ from pmfid.fleet.changes import Beyond, Step, Trend, compare_with_wander, sorts_
 from pmfid.fleet.series import Series, codes_of, mean_of, quality_of, standing
 from pmfid.fleet.source import SECONDS
 from pmfid.fleet.tuning import TUNING
-from pmfid.records.tuning import TUNING as RECORD_TUNING
+from pmfid.records.clock import CLOCK_EPOCHS
 from pmfid.types import Floats
 
 #: Kinds of verdicts, in words.
@@ -308,7 +308,7 @@ def when(time: float) -> str:
     """Format a time [s] as a date (UTC) if plausible, otherwise as hours, minutes and seconds from zero."""
     if not math.isfinite(time):
         return ""
-    if RECORD_TUNING.clock_epochs[0] <= time < RECORD_TUNING.clock_epochs[1]:
+    if CLOCK_EPOCHS[0] <= time < CLOCK_EPOCHS[1]:
         return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M:%S")
     minutes, second = divmod(round(time), 60)
     hours, minute = divmod(minutes, 60)

@@ -17,11 +17,10 @@ from pmfid.config.record import EncoderConfig, RecordConfig
 from pmfid.config.toml_file import FileSection, load_sections
 from pmfid.design.appraisal import Appraisal, appraise
 from pmfid.design.calibration import DesignedRun
-from pmfid.design.problem import Design, Limits, Problem, parameters_of
+from pmfid.design.problem import PROBLEM_MOST, Design, Limits, Problem, parameters_of
 from pmfid.design.ranking import rank
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.solver import Progress, solve
-from pmfid.design.tuning import TUNING
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.models.drive import Drive
 from pmfid.records.joining import make_even
@@ -151,7 +150,7 @@ class LimitsSpec(FileSection):
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name, value in self.model_dump(exclude_none=True).items():
-            if np.max(np.abs(value)) > TUNING.problem_most:
+            if np.max(np.abs(value)) > PROBLEM_MOST:
                 raise ValueError(
                     f"{name} = {value!r} limits nothing; leave the limit out, or give the limit of the machine"
                 )

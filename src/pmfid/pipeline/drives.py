@@ -28,7 +28,6 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Track, join_tracks
 from pmfid.estimators.stretches import gaps_in, parts_of
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
 from pmfid.io.tables import Table
 from pmfid.models.shapes import Square
@@ -39,7 +38,6 @@ from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.joining import join_records, make_even
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record, read_record, record_of
@@ -48,6 +46,13 @@ from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
+
+DRIVES_CHUNK = 100_000
+#: Greatest part of the motion that a valid simulation leaves unexplained.
+DRIVES_FOLLOWED = 0.2
+
+#: Samples of a record over which the parameters' correlation counts as constant.
+KNOWN_PIECE = 200
 
 
 class Drives(Kind[Record]):
@@ -231,7 +236,7 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
     if not relative > 1:
         return []
     sentence, fitted = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.fitted
-    if fitted is not None and fitted.left < TUNING.drives_followed:
+    if fitted is not None and fitted.left < DRIVES_FOLLOWED:
         left = 100 * fitted.left
         return make_notes(
             "relative_error",
@@ -370,7 +375,7 @@ def _run(
     A run in several chunks gives the numbers of a single run. In a gap the estimate does not change.
     """
     n, parts, reported = record.u.size, list[Track](), list[Track]()
-    chunk = TUNING.drives_chunk if known is None else ESTIMATOR_TUNING.known_piece
+    chunk = DRIVES_CHUNK if known is None else KNOWN_PIECE
     edges = [0, *(edge for gap in gaps_in(record.u) for edge in gap), n]
     for place, (first, last) in enumerate(pairwise(edges)):
         if place % 2 == 1:

@@ -26,11 +26,23 @@ from pmfid.pipeline.fitted import make_fit
 from pmfid.pipeline.kinds import Progress
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
-from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.records.joining import make_even, unbroken
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
+
+#: Parts of a sample in the simulated motion, and positions of the disc for each encoder.
+ENCODERS_PARTS = 10
+ENCODERS_DRAWS = 3
+#: Period of the timer of the edges [s].
+ENCODERS_TICK = 1e-6
+#: Increments per turn of the encoders for a rotary axis.
+ENCODERS_INCREMENTS = (16, 64, 256, 1024, 4096, 16384)
+#: Fewest steps in the travel of a linear axis, and decades of the steps.
+ENCODERS_LEAST_STEPS = 5.0
+ENCODERS_DECADES = 4
+#: Largest relative distance of the simulated from the recorded motion without a note.
+ENCODERS_MISSED = 0.3
 
 #: Travel per turn of a rotary axis [rad].
 TURN = 2 * np.pi
@@ -181,10 +193,10 @@ class _Trial:
         (stretch,) = problem.stretches
         theta = result.theta[: len(method.names)]
         motion = FreeMotion.make(problem, theta)
-        fine = _refine(stretch, TUNING.encoders_parts)
+        fine = _refine(stretch, ENCODERS_PARTS)
         x, v = motion.simulate(fine, motion.find_start(stretch))
-        missed = float(np.std(x[:: TUNING.encoders_parts][stretch.drive.row] - stretch.y) / np.std(stretch.y))
-        path = Trajectory(np.asarray(np.arange(x.size) * (record.dt / TUNING.encoders_parts)), x, v)
+        missed = float(np.std(x[::ENCODERS_PARTS][stretch.drive.row] - stretch.y) / np.std(stretch.y))
+        path = Trajectory(np.asarray(np.arange(x.size) * (record.dt / ENCODERS_PARTS)), x, v)
         turn = TURN if method.equation.motion is ROTARY and not record.in_counts else None
         predicted = predict_fit(problem, theta) / problem.resolution if method.equation.elastic else np.zeros(0)
         return cls(method, theta, u, path, turn, line_error, missed, predicted)
@@ -192,9 +204,9 @@ class _Trial:
     def list_steps(self) -> Floats:
         """Return the steps of the encoders, the coarsest first: powers of 4 per turn, or decimal steps."""
         if self.turn is not None:
-            return self.turn / np.array(TUNING.encoders_increments, float)
-        largest = np.floor(np.log10(np.ptp(self.path.x) / TUNING.encoders_least_steps))
-        return np.outer(10.0 ** (largest - np.arange(TUNING.encoders_decades)), [1.0, 0.3]).ravel()
+            return self.turn / np.array(ENCODERS_INCREMENTS, float)
+        largest = np.floor(np.log10(np.ptp(self.path.x) / ENCODERS_LEAST_STEPS))
+        return np.outer(10.0 ** (largest - np.arange(ENCODERS_DECADES)), [1.0, 0.3]).ravel()
 
     def compute_uncertainties(self, step: float, index: int) -> tuple[float, ...]:
         """Return the relative uncertainty of a parameter from counts, and for one mass from counts with edge times."""
@@ -203,14 +215,14 @@ class _Trial:
         travel = float(np.ptp(self.path.x)) if self.turn is None else self.turn
         lines = max(1, round(travel / step))
         counting = replace(self.method, encoder=Encoder(step))
-        timing = like(EdgeFit, counting, lines=None if self.turn is None else lines, tick=TUNING.encoders_tick)
+        timing = like(EdgeFit, counting, lines=None if self.turn is None else lines, tick=ENCODERS_TICK)
         by_counts: list[Fit | None] = []
         by_edges: list[Fit | None] = []
-        for seed in range(TUNING.encoders_draws):
+        for seed in range(ENCODERS_DRAWS):
             rng = np.random.default_rng([seed, lines])
             errors = step * self.line_error * rng.uniform(-1.0, 1.0, lines)
             counts, ages = read_edge_times(
-                self.path, Lattice(step, step * rng.random(), errors), TUNING.encoders_parts, TUNING.encoders_tick
+                self.path, Lattice(step, step * rng.random(), errors), ENCODERS_PARTS, ENCODERS_TICK
             )
             by_counts.append(_try_fit(counting, self.u, counts))
             # without a fit of the edges, `identify` uses the counts
@@ -223,7 +235,7 @@ class _Trial:
         The result is NaN if half of the positions of the disc give no fit.
         """
         fits = [fit for fit in tried if fit is not None]
-        if 2 * len(fits) <= TUNING.encoders_draws:
+        if 2 * len(fits) <= ENCODERS_DRAWS:
             return float("nan")
         std = np.median([fit.theta_std[index] for fit in fits])
         error = np.sqrt(np.mean([(fit.theta[index] - self.theta[index]) ** 2 for fit in fits]))
@@ -254,7 +266,7 @@ def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> It
             f"the record itself gives {parameter} only to {100 * own:.2g} %, limited by noise, unmodelled effects or "
             "its encoder; a longer or livelier motion helps, another encoder may not"
         )
-    if trial.missed > TUNING.encoders_missed:
+    if trial.missed > ENCODERS_MISSED:
         yield (
             f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of the travel, and the "
             "comparison uses the simulated motion"
@@ -263,5 +275,5 @@ def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> It
         yield (
             "the deviations contain only the error of the encoder, not noise or unmodelled effects; lines are wrong by "
             f"at most {100 * trial.line_error:g} % of a step, and the timer has ticks of "
-            f"{1e6 * TUNING.encoders_tick:g} us"
+            f"{1e6 * ENCODERS_TICK:g} us"
         )

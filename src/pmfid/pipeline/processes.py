@@ -21,8 +21,7 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import SRIVC, choose_start_pole, make_problem, process_of
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
+from pmfid.estimators.srivc import SAME_PERIOD, SRIVC, choose_start_pole, make_problem, process_of
 from pmfid.findings import make_notes, sort_findings
 from pmfid.io.tables import Table
 from pmfid.linear.experiment import Experiment
@@ -113,7 +112,7 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     """Return the configured estimator for the sample period of the first record."""
     model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
     check_sampling(axis, dt)
-    if any(abs(experiment.period / dt - 1) > ESTIMATOR_TUNING.same_period for experiment in experiments):
+    if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
         raise UsageError(
             "the records differ in their sample period; decimate the records to one period, or identify them one by one"
         )

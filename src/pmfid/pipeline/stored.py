@@ -15,8 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pmfid.errors import UsageError, printable
 from pmfid.io.safety import MOST_BYTES
-from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
+
+#: Largest number of letters of a text from a file in a message.
+LONGEST_TEXT = 150
+#: Relative difference below which a number in a file equals the configured number.
+STORED_SAME = 1e-6
 
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml of the identification"
@@ -72,7 +76,7 @@ class Stored(_Section):
     def check_known(self, what: str, value: float) -> None:
         """Raise UsageError if `what`, "input_gain" or "dead_time", had another value in the identification."""
         then = self.input_gain if what == "input_gain" else self.dead_time
-        if then is not None and not abs(then - value) <= TUNING.stored_same * max(abs(then), abs(value)):
+        if then is not None and not abs(then - value) <= STORED_SAME * max(abs(then), abs(value)):
             self._refuse(f"the result has {what} = {then:.9g}, but [model] has {value:.9g}; {SAME_AXIS}")
 
     def check_equation(self, text: str) -> None:
@@ -81,7 +85,7 @@ class Stored(_Section):
         Parameter names do not show a known dead time, a friction term's speed or a force's pitch.
         """
         if self.equation is not None and self.equation != text:
-            stored = printable(" ".join(self.equation.split()))[: TUNING.longest_text]
+            stored = printable(" ".join(self.equation.split()))[:LONGEST_TEXT]
             self._refuse(f"the result has {stored}, but [model] has {text}; {SAME_AXIS}")
 
     def _refuse(self, text: str) -> NoReturn:

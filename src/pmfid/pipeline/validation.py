@@ -17,9 +17,11 @@ from pmfid.pipeline.identify import check, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.known import set_stored_gain
 from pmfid.pipeline.stored import Stored
-from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
+
+#: Multiple of the encoder's error below which a free run explains the counts.
+VALIDATION_WITHIN = 1.5
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -120,7 +122,7 @@ def _as_json(run: FreeRun) -> dict[str, object]:
 
 def _remarks(run: FreeRun) -> list[str]:
     remarks = []
-    if run.encoder is not None and run.rmse <= TUNING.validation_within * run.encoder:
+    if run.encoder is not None and run.rmse <= VALIDATION_WITHIN * run.encoder:
         remarks.append(f"{run.name}: the free run explains every count; only the error of the encoder is left")
     if run.rmse >= min(run.mean, run.standstill):
         better = [f for f in run.horizons if f.rmse < 0.5 * f.standstill]

@@ -12,11 +12,64 @@ from numpy.typing import NDArray
 
 from pmfid.elementary import line_through
 from pmfid.errors import UsageError
-from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid.config.record import RecordConfig
+
+#: Range of the sample periods of machine axes [s], as drives log every 10 us to 100 ms. A longer period is slow for
+#: any axis. A name with a unit is believed up to `LONGEST_NAMED_PERIOD`.
+SHORTEST_PLAIN_PERIOD = 0.999e-5
+LONGEST_PLAIN_PERIOD = 0.1001
+LONGEST_NAMED_PERIOD = 1.001
+#: Seconds since 1970 at the beginning of 2000 and of 2100.
+CLOCK_EPOCHS = (946_684_800.0, 4_102_444_800.0)
+#: Relative deviation of steps from their median that needs no note.
+CLOCK_EVEN = 0.1
+#: Largest deviation of a stamp from an even grid by chance [sample periods].
+CLOCK_FURTHEST = 0.9
+#: Fewest stamps for a decision, and number of averaged stamps that reveal a missing sample. The next constants are
+#: the largest and the least number of blocks of stamps, whose means show the scatter of stamps that are late
+#: together, and the largest mean by chance, in standard deviations.
+CLOCK_GROUP = 50
+CLOCK_BLOCKS = 30
+CLOCK_LEAST_BLOCKS = 4
+MOST_BY_CHANCE = 5.0
+#: Relative difference of the longest and shortest step of a clock, or of the periods of two records, that needs
+#: neither a note nor a further test. Tolerances of clocks explain it.
+CLOCK_SAME_STEPS = 1e-3
+#: Relative difference within which periods agree, of a configuration, a time column or the halves of a record, or a
+#: step and a multiple of another step. Even half of the limit causes a significant error of the mass.
+CLOCK_SAME = 0.01
+#: Longest step without a missing sample, in median steps.
+CLOCK_MISSING = 1.5
+#: Largest distance of a step from a whole number of periods on an even grid, and time after a row within which a
+#: following row is too early [periods]. `CLOCK_RARE` is the greatest part of rows that are too early.
+CLOCK_NEAR = 0.3
+CLOCK_RARE = 0.001
+#: Longest step that determines the period [periods], because a pause may have a fractional length.
+CLOCK_SHORT = 5
+#: Largest standard deviation of stamps around a grid [periods]. Random stamps have a standard deviation of 0.29
+#: periods.
+CLOCK_SCATTER = 0.2
+#: Largest distance of the earliest stamp from the mean of late stamps, in standard deviations. A half-normal delay
+#: has 1.3. Sorted stamps with a delay of 2 periods have 2.2, from where on both lines are alike. Errors in both
+#: directions have more than 3.
+CLOCK_LOWEST = 2.3
+#: Largest number of lines that are tried below all stamps, and of iterations between grid and places. A few
+#: suffice.
+CLOCK_TURNS = 50
+#: Smallest number of long steps that distinguishes missing lines from rounded stamps, and of rows that repeat an
+#: output. The output at only one or two pauses says too little, and a single repeated row is a wrong reading.
+LONG_STEPS = 5
+#: Longest gap on the grid [samples]. Longer gaps are shortened, because the motion restarts after any gap.
+CLOCK_LONGEST = 1000
+#: Largest number of periods in a step, for sums without an overflow.
+CLOCK_MOST = 2.0**40
+#: Largest number of a column. No unit of any quantity needs more.
+LARGEST_NUMBER = 1e100
+#: Fewest samples of a record.
+MIN_SAMPLES = 10
 
 #: Length [s] of each unit of time.
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -53,7 +106,7 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         if config.dt is None:
             raise UsageError("[record] has neither time nor dt; give one of them")
         return config.dt, ()
-    if time.size < TUNING.min_samples:
+    if time.size < MIN_SAMPLES:
         raise UsageError(f"the time column {config.time!r} has {time.size} numbers: name another column, or give dt")
     mean, grid = even_grid(time)
     median, jitter = (mean, 0.0) if grid and has_same_steps(time) else _steps_of(time)
@@ -66,11 +119,11 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     epoch = _epoch(float(time[0]), mean, config)
     factor = UNITS[epoch] if epoch else time_factor(config)
     _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
-    varies = jitter > TUNING.clock_same_steps
+    varies = jitter > CLOCK_SAME_STEPS
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if varies else []
-    if mean * factor > TUNING.longest_plain_period:
+    if mean * factor > LONGEST_PLAIN_PERIOD:
         notes.append(f"a sample period of {mean * factor:g} s is slow for an axis")
-    if grid and jitter > TUNING.clock_even:
+    if grid and jitter > CLOCK_EVEN:
         notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, and the grid replaces them")
     if factor != 1:
         unit = next(unit for unit, length in UNITS.items() if length == factor)
@@ -85,7 +138,7 @@ def _check_name(step: float, config: RecordConfig) -> None:
     named = named_unit(config.time or "")
     if named is None or config.time_unit in (None, named):
         return
-    if TUNING.shortest_plain_period <= step * UNITS[named] <= TUNING.longest_plain_period:
+    if SHORTEST_PLAIN_PERIOD <= step * UNITS[named] <= LONGEST_PLAIN_PERIOD:
         raise UsageError(
             f'the name of the column {config.time!r} says {named}, but [record] time_unit = "{config.time_unit}": '
             f'write time_unit = "{named}", or rename the column'
@@ -103,7 +156,7 @@ def has_same_steps(time: Floats) -> bool:
     """Return whether the stamps (n,) rise in equal steps. Most clocks do, and need no median of their steps."""
     steps = np.diff(time)
     least = float(np.min(steps, initial=np.inf))
-    return bool(least > 0 and np.max(steps, initial=0.0) - least <= TUNING.clock_same_steps * least)
+    return bool(least > 0 and np.max(steps, initial=0.0) - least <= CLOCK_SAME_STEPS * least)
 
 
 def even_grid(time: Floats) -> tuple[float, bool]:
@@ -115,23 +168,23 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     stamps deviates by a quarter of a period, as after a missing sample.
     """
     n = time.size
-    if n < TUNING.clock_group or not np.all(np.isfinite(time)):
+    if n < CLOCK_GROUP or not np.all(np.isfinite(time)):
         return 0.0, False
     k, since = np.arange(n, dtype=np.float64), time - time[0]
     k -= (n - 1) / 2
     period = float(np.sum(k * since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
-    if _furthest(np.diff(time), period) < TUNING.clock_same_steps * period or is_rounded(time):
+    if _furthest(np.diff(time), period) < CLOCK_SAME_STEPS * period or is_rounded(time):
         return period, True
     since -= np.mean(since)
     since /= period
     late = np.subtract(since, k, out=k)
     del since
-    together = np.convolve(late, np.full(TUNING.clock_group, 1 / TUNING.clock_group), mode="valid")
+    together = np.convolve(late, np.full(CLOCK_GROUP, 1 / CLOCK_GROUP), mode="valid")
     furthest, of_group = (_furthest(values, 0.0) for values in (late, together))
-    chance = TUNING.most_by_chance * np.std(late) / np.sqrt(TUNING.clock_group)
-    even = furthest < TUNING.clock_furthest and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
+    chance = MOST_BY_CHANCE * np.std(late) / np.sqrt(CLOCK_GROUP)
+    even = furthest < CLOCK_FURTHEST and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
     del together
     return float(period) * (1 + slope_below(late) if even else 1.0), bool(even)
 
@@ -143,12 +196,12 @@ def is_rounded(time: Floats) -> bool:
     """
     steps = np.diff(time)
     digit = float(np.max(steps, initial=0.0))
-    single = np.abs(steps - digit) < TUNING.clock_same * digit
-    if not (digit > 0 and np.all(single | (steps == 0)) and np.mean(single) < TUNING.clock_furthest):
+    single = np.abs(steps - digit) < CLOCK_SAME * digit
+    if not (digit > 0 and np.all(single | (steps == 0)) and np.mean(single) < CLOCK_FURTHEST):
         return False
     k = np.arange(time.size, dtype=np.float64)
     late = time - time[0] - np.polyval(np.polyfit(k, time - time[0], 1), k)
-    return bool(np.max(np.abs(late)) < (0.5 + TUNING.clock_near / 3) * digit)
+    return bool(np.max(np.abs(late)) < (0.5 + CLOCK_NEAR / 3) * digit)
 
 
 def slope_below(late: Floats) -> float:
@@ -159,12 +212,12 @@ def slope_below(late: Floats) -> float:
     """
     n, size = late.size, float(np.std(late))
     lowest = -float(np.min(late))
-    if not size > 0 or lowest > TUNING.clock_lowest * size:
+    if not size > 0 or lowest > CLOCK_LOWEST * size:
         return 0.0
-    if float(np.mean(late**3)) < TUNING.most_by_chance * np.sqrt(6 / n) * size**3:
+    if float(np.mean(late**3)) < MOST_BY_CHANCE * np.sqrt(6 / n) * size**3:
         return 0.0
     k, middle, slope = np.arange(n, dtype=np.float64), n // 2, 0.0
-    for _ in range(TUNING.clock_turns):
+    for _ in range(CLOCK_TURNS):
         above = late - slope * k
         left, right = int(np.argmin(above[:middle])), middle + int(np.argmin(above[middle:]))
         before, slope = slope, float(late[right] - late[left]) / (right - left)
@@ -179,8 +232,8 @@ def period_error(stamps: Floats, places: Floats) -> float:
     The scatter of the stamps comes from blocks, because stamps in the order of their arrival are late together.
     """
     n = stamps.size
-    blocks = min(TUNING.clock_blocks, n // TUNING.clock_group)
-    if blocks < TUNING.clock_least_blocks:
+    blocks = min(CLOCK_BLOCKS, n // CLOCK_GROUP)
+    if blocks < CLOCK_LEAST_BLOCKS:
         return 0.0
     around = places - np.mean(places)
     square = float(around @ around)
@@ -210,11 +263,9 @@ def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
     """
     if config.time_unit or config.dt is not None or named_unit(config.time or ""):
         return None
-    dated = [
-        unit for unit, length in UNITS.items() if TUNING.clock_epochs[0] <= first * length < TUNING.clock_epochs[1]
-    ]
+    dated = [unit for unit, length in UNITS.items() if CLOCK_EPOCHS[0] <= first * length < CLOCK_EPOCHS[1]]
     return next(
-        (unit for unit in dated if TUNING.shortest_plain_period <= step * UNITS[unit] <= TUNING.longest_plain_period),
+        (unit for unit in dated if SHORTEST_PLAIN_PERIOD <= step * UNITS[unit] <= LONGEST_PLAIN_PERIOD),
         None,
     )
 
@@ -227,17 +278,15 @@ def _check_unit(
     `counted` says whether the column may number the samples.
     """
     if config.dt is not None:
-        if abs(step * factor - config.dt) <= TUNING.clock_same * config.dt:
+        if abs(step * factor - config.dt) <= CLOCK_SAME * config.dt:
             return
-        fitting = [
-            unit for unit, length in UNITS.items() if abs(step * length - config.dt) <= TUNING.clock_same * config.dt
-        ]
+        fitting = [unit for unit, length in UNITS.items() if abs(step * length - config.dt) <= CLOCK_SAME * config.dt]
         remedy = f'give time_unit = "{fitting[0]}"' if fitting else "correct dt, or convert the time column to s"
         raise UsageError(
             f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {step:g}; {remedy}"
         )
-    longest = TUNING.longest_named_period if named_unit(config.time or "") else TUNING.longest_plain_period
-    if epoch or config.time_unit is not None or TUNING.shortest_plain_period <= step * factor <= longest:
+    longest = LONGEST_NAMED_PERIOD if named_unit(config.time or "") else LONGEST_PLAIN_PERIOD
+    if epoch or config.time_unit is not None or SHORTEST_PLAIN_PERIOD <= step * factor <= longest:
         return
     if counted:
         raise UsageError(
@@ -245,11 +294,7 @@ def _check_unit(
             '[record] dt in s; if it is a time, give [record] time_unit = "ms" (0.001 s), or "s"'
         )
     taken = next(unit for unit, length in UNITS.items() if length == factor)
-    others = [
-        unit
-        for unit, length in UNITS.items()
-        if TUNING.shortest_plain_period <= step * length <= TUNING.longest_plain_period
-    ]
+    others = [unit for unit, length in UNITS.items() if SHORTEST_PLAIN_PERIOD <= step * length <= LONGEST_PLAIN_PERIOD]
     ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)
     raise UsageError(
         f"the time column {config.time!r} has steps of {step:g}: in {taken} the sample period is {step * factor:g} s, "
@@ -278,12 +323,12 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
             f"first after row {k + 1}, t = {time[k]:.9g}; "
             + (
                 "cut the record at the gap"
-                if len(gaps) < TUNING.long_steps
+                if len(gaps) < LONG_STEPS
                 else "if only the stamps are late and the samples are even, give [record] dt in place of time"
             )
         )
     worst = float(np.max(np.abs(steps - median)) / median)
-    if worst > TUNING.clock_even:
+    if worst > CLOCK_EVEN:
         raise UsageError(
             f"time steps differ by up to {worst:.1%} of the median {median:g} s, more than the allowed 10 %; resample "
             "the record to a fixed rate"
@@ -381,27 +426,27 @@ def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Numbe
 def is_steady(time: Floats) -> bool:
     """Return whether the time (n,) rises without a step that contains missing samples."""
     steps = np.diff(time)
-    return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= TUNING.clock_missing * np.median(steps))
+    return bool(steps.size and np.min(steps) > 0 and np.max(steps) <= CLOCK_MISSING * np.median(steps))
 
 
 def misses_lines(time: Floats, output: Floats) -> bool | None:
     """Return True if lines are missing and False if stamps are rounded.
 
-    The steps of the stamps (n,) are whole multiples of the median step. The result is None if fewer than long_steps
+    The steps of the stamps (n,) are whole multiples of the median step. The result is None if fewer than LONG_STEPS
     steps are multiples, or if the output (n,) shows no difference. If lines are missing, the output changes over a step
     of k periods by k times its usual change. If stamps are rounded, the output changes by its usual change. The usual
     change is the mean over the two neighbouring steps.
     """
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else 0.0
-    if not median > 1 / TUNING.largest_number:
+    if not median > 1 / LARGEST_NUMBER:
         return None
     steps /= median
     times = np.rint(steps)
-    if np.max(np.abs(steps - times)) > TUNING.clock_same or np.min(times) < 1:
+    if np.max(np.abs(steps - times)) > CLOCK_SAME or np.min(times) < 1:
         return None
     longer = bool(np.max(times) > 2)  # rounding gives at most two periods
-    if longer and np.count_nonzero(times == 2) < TUNING.long_steps:
+    if longer and np.count_nonzero(times == 2) < LONG_STEPS:
         return True
     long = np.flatnonzero(times[1:-1] == 2 if longer else times[1:-1] > 1) + 1
     long = long[(times[long - 1] == 1) & (times[long + 1] == 1)]
@@ -409,7 +454,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
     usual, change = (changes[long - 1] + changes[long + 1]) / 2, changes[long]
     known = np.isfinite(usual) & np.isfinite(change)
     usual, change, times = usual[known], change[known], times[long][known]
-    if change.size < TUNING.long_steps:
+    if change.size < LONG_STEPS:
         return None
     if_missing, if_rounded = float(np.sum(np.abs(change - times * usual))), float(np.sum(np.abs(change - usual)))
     return None if if_missing == if_rounded else if_missing < if_rounded
@@ -420,7 +465,7 @@ def _even_stamps(time: Floats) -> Floats:
     k = np.arange(time.size, dtype=np.float64)
     period, start = line_through(k, time - time[0])
     line = time[0] + start + period * k
-    return line if period > 0 and _furthest(np.abs(time - line), 0.0) < TUNING.clock_furthest * period else time
+    return line if period > 0 and _furthest(np.abs(time - line), 0.0) < CLOCK_FURTHEST * period else time
 
 
 def drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
@@ -446,15 +491,15 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     stamps = _take_rows(time, rows)
     steps = np.diff(stamps)
     early = (
-        np.r_[False, (steps >= 0) & (steps < TUNING.clock_near * np.median(steps))]
+        np.r_[False, (steps >= 0) & (steps < CLOCK_NEAR * np.median(steps))]
         if steps.size
         else np.zeros(rows.size, bool)
     )
     count = int(np.count_nonzero(early))
-    if not 0 < count <= max(1, TUNING.clock_rare * rows.size) or even_grid(stamps)[1]:
+    if not 0 < count <= max(1, CLOCK_RARE * rows.size) or even_grid(stamps)[1]:
         return rows, ()
     note = "rows come" if count > 1 else "row comes"
-    when = f"less than {TUNING.clock_near:g} of a period after another row: left out"
+    when = f"less than {CLOCK_NEAR:g} of a period after another row: left out"
     return rows[~early], (f"{count} {note} {when}",)
 
 
@@ -466,25 +511,25 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
     gives the grid.
     """
     steps = np.diff(time)
-    if not (steps.size and np.min(steps) > 1 / TUNING.largest_number):
+    if not (steps.size and np.min(steps) > 1 / LARGEST_NUMBER):
         return None
     period = float(np.median(steps))
-    period = float(np.mean(steps[np.abs(steps - period) <= (TUNING.clock_missing - 1) * period]))
-    for _ in range(TUNING.clock_turns):
-        numbers = np.clip(np.rint(steps / period), 1, TUNING.clock_most).astype(np.intp)
-        short = numbers <= TUNING.clock_short
+    period = float(np.mean(steps[np.abs(steps - period) <= (CLOCK_MISSING - 1) * period]))
+    for _ in range(CLOCK_TURNS):
+        numbers = np.clip(np.rint(steps / period), 1, CLOCK_MOST).astype(np.intp)
+        short = numbers <= CLOCK_SHORT
         before, period = period, float(np.sum(steps[short]) / np.sum(numbers[short]))
         if period == before:
             break
     places = np.r_[0, np.cumsum(numbers)]
-    if np.max(np.abs(steps / period - numbers)[short]) <= TUNING.clock_near:
+    if np.max(np.abs(steps / period - numbers)[short]) <= CLOCK_NEAR:
         return places, period
     return _place_by_line(time, places)
 
 
 def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
     """Return sample numbers and period of stamps that scatter by chance, from approximate sample numbers (n,)."""
-    for _ in range(TUNING.clock_turns):
+    for _ in range(CLOCK_TURNS):
         period, start = line_through(places.astype(np.float64), time - time[0])
         at = (time - time[0] - start) / period
         found = np.rint(at).astype(np.intp)
@@ -492,12 +537,12 @@ def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.i
             break
         places = found
     rises = bool(np.min(np.diff(found)) > 0)
-    return (found - found[0], period) if rises and np.std(at - found) < TUNING.clock_scatter else None
+    return (found - found[0], period) if rises and np.std(at - found) < CLOCK_SCATTER else None
 
 
 def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the places with gaps of at most clock_longest samples."""
+    """Return the places with gaps of at most CLOCK_LONGEST samples."""
     if places.size and places[-1] - places[0] == places.size - 1:
         return np.arange(places.size)
     steps = np.diff(places, prepend=places[:1])
-    return np.cumsum(np.minimum(steps, TUNING.clock_longest + 1, out=steps), out=steps)
+    return np.cumsum(np.minimum(steps, CLOCK_LONGEST + 1, out=steps), out=steps)

@@ -9,22 +9,30 @@ import numpy as np
 
 from pmfid.config.record import RecordConfig
 from pmfid.errors import UsageError
-from pmfid.records.clock import time_factor
-from pmfid.records.tuning import TUNING
+from pmfid.records.clock import LARGEST_NUMBER, MIN_SAMPLES, time_factor
 from pmfid.types import Counts, Flags, Floats
 from pmfid.units import OUTPUTS, Quantity, column_unit
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
 
+#: Largest relative distance of a velocity from a multiple of a step, or of the step of a column from a resolution.
+#: Logs have at least three digits. Differences of a column below `RECORD_ROUNDING` of its step come from its binary
+#: rounding.
+RECORD_WHOLE = 1e-3
+RECORD_ROUNDING = 1e-6
+MAX_COUNT = 2.0**53
+#: Number of rows that are tested for steps and counts. A column holds counts if all tested numbers are whole and more
+#: than `MOST_WHOLE` of them are distinct.
+RECORD_DISTINCT = 20_000
+MOST_WHOLE = 20
+
 
 def check_position(output: Floats, axis: Axis) -> None:
     """Raise UsageError if a position with a resolution below 1 has only whole numbers, because such a column holds
     counts.
     """
-    whole = (
-        np.array_equal(output, np.rint(output)) and np.unique(output[: TUNING.record_distinct]).size > TUNING.most_whole
-    )
+    whole = np.array_equal(output, np.rint(output)) and np.unique(output[:RECORD_DISTINCT]).size > MOST_WHOLE
     named = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
     if whole and not named and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
         raise UsageError(
@@ -41,7 +49,7 @@ def check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
         round_counts(columns["output"] if np.all(there) else columns["output"][there])
     except UsageError:
         u = columns["input"][np.isfinite(columns["input"])]
-        if np.unique(u[: TUNING.record_distinct]).size <= TUNING.most_whole or np.any(u != np.rint(u)):
+        if np.unique(u[:RECORD_DISTINCT]).size <= MOST_WHOLE or np.any(u != np.rint(u)):
             raise
         raise UsageError(
             f"the output column {config.output!r} has fractions, but the input column {config.input!r} has only "
@@ -57,8 +65,8 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
     if config.output_kind != "position" or config.output_unit or column_unit(config.output, OUTPUTS):
         return
     steps, number = np.abs(np.diff(output[np.isfinite(output)])), float(step) / step.unit.factor
-    least = float(np.min(steps[steps > TUNING.record_rounding * number], initial=np.inf))
-    if abs(least / number - 1) < TUNING.record_whole:
+    least = float(np.min(steps[steps > RECORD_ROUNDING * number], initial=np.inf))
+    if abs(least / number - 1) < RECORD_WHOLE:
         raise UsageError(
             f"the output column {config.output!r} seems to be in {step.unit.name}, because its steps are "
             f'{number:g}, as in [encoder] resolution: give [record] output_unit = "{step.unit.name}"'
@@ -67,7 +75,7 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
 
 def round_counts(output: Floats) -> Counts:
     """Return counts (n,) as integers. Raises UsageError for fractions and beyond 2**53 counts."""
-    rounded, most = np.rint(output), TUNING.max_count
+    rounded, most = np.rint(output), MAX_COUNT
     if np.array_equal(rounded, output) and -most < np.min(output, initial=0) and np.max(output, initial=0) < most:
         return rounded.astype(np.int64)
     off = np.subtract(output, rounded)
@@ -87,18 +95,16 @@ def check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None])
     if len(set(lengths.values())) > 1:
         raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
     n = len(columns["input"])
-    if n < TUNING.min_samples:
-        raise UsageError(
-            f"the record has {n} sample{'s' * (n != 1)}, at least {TUNING.min_samples} are needed; record longer"
-        )
+    if n < MIN_SAMPLES:
+        raise UsageError(f"the record has {n} sample{'s' * (n != 1)}, at least {MIN_SAMPLES} are needed; record longer")
 
 
 def drop_extremes(values: Floats) -> Floats:
-    """Return a column (n,) in which numbers beyond `largest_number` are missing, as infinite numbers are.
+    """Return a column (n,) in which numbers beyond `LARGEST_NUMBER` are missing, as infinite numbers are.
 
     No sensor gives such numbers. They mark missing values, and their squares and differences overflow.
     """
-    most = TUNING.largest_number
+    most = LARGEST_NUMBER
     if values.size == 0 or max(np.fmax.reduce(values), -np.fmin.reduce(values)) <= most:
         return values
     return np.where(np.abs(values) > most, np.nan, values)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
+
+#: Smallest part of the samples in which a held input does not change.
+GAPS_HELD = 0.5
+#: Quantile of the times for which a held input keeps its values. Gaps shorter than this quantile are filled.
+GAPS_SHORTEST = 0.02
+#: Length of gaps that straight lines bridge where no motion can restart after each [samples].
+GAPS_BRIDGED = 8
 
 
 def place_samples(
@@ -35,11 +41,11 @@ def hold_input(u: Floats, time: Floats) -> Floats:
     """
     there = np.isfinite(u)
     pairs = there[1:] & there[:-1]
-    if np.all(there) or not (np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > TUNING.gaps_held):
+    if np.all(there) or not (np.any(pairs) and np.mean((np.diff(u) == 0)[pairs]) > GAPS_HELD):
         return u
     rows = np.flatnonzero(there)
     switches = rows[1:][np.diff(u[rows]) != 0]
-    longest = np.quantile(np.diff(time[np.r_[rows[0], switches, rows[-1]]]), TUNING.gaps_shortest)
+    longest = np.quantile(np.diff(time[np.r_[rows[0], switches, rows[-1]]]), GAPS_SHORTEST)
     held = np.append((np.diff(time[rows]) <= longest) & (np.diff(u[rows]) == 0), [False, False])
     last = np.cumsum(there) - 1  # -1 before the first known input, which is the last entry of `held`
     return np.where(held[last], u[rows[last]], u)
@@ -55,7 +61,7 @@ def bridge_input(u: Floats) -> Floats:
     if np.all(there) or not rows.size:
         return u
     lost = np.append(rows, u.size)[np.minimum(place, rows.size)] - rows[np.maximum(place, 1) - 1] - 1
-    short = ~there & (place > 0) & (place < rows.size) & (lost <= TUNING.gaps_bridged)
+    short = ~there & (place > 0) & (place < rows.size) & (lost <= GAPS_BRIDGED)
     return np.where(short, np.interp(np.arange(u.size), rows, u[rows]), u) if np.any(short) else u
 
 

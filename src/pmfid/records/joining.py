@@ -9,8 +9,9 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.estimators.sample_steps import SampleSteps
+from pmfid.records.clock import CLOCK_SAME_STEPS
+from pmfid.records.gaps import GAPS_BRIDGED
 from pmfid.records.record import Record
-from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
 
@@ -29,7 +30,7 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
             "identify them one by one"
         )
     for record in records[1:]:
-        if abs(record.dt / first.dt - 1) > TUNING.clock_same_steps:
+        if abs(record.dt / first.dt - 1) > CLOCK_SAME_STEPS:
             raise UsageError(
                 f"{record.name} has a sample period of {record.dt:g} s, {first.name} one of {first.dt:g} s: identify "
                 "them one by one"
@@ -57,7 +58,7 @@ def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Co
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:
         return record.u, counts, there, before
-    apart = TUNING.gaps_bridged + 1  # no line may bridge the records
+    apart = GAPS_BRIDGED + 1  # no line may bridge the records
     gap = np.full(apart, np.nan), np.full(apart, start), np.zeros(apart, bool)
     later = np.full(apart, record.dt)
     return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there], np.r_[later, before]

@@ -13,9 +13,31 @@ from pmfid.config.axis import Axis
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.stretches import parts_of
 from pmfid.findings import Finding, Judged, texts
+from pmfid.records.instants import MOST_INPUTS
 from pmfid.records.record import Record
-from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
+
+#: Largest change after unwrapping, relative to the range. `OUTLIERS_SMOOTHER` is the largest ratio of the roughness
+#: after unwrapping to the roughness before.
+OUTLIERS_ROOM = 0.25
+OUTLIERS_SMOOTHER = 0.1
+#: Largest relative difference between jumps of equal size.
+OUTLIERS_ALIKE = 0.05
+#: Largest relative difference between a range and a whole number of turns.
+WHOLE_TURNS = 0.005
+#: Largest width of a counter [bits]. `OUTLIERS_LEAST` is the smallest range of the counts, because within a smaller
+#: range any motion may resemble a jump.
+MOST_BITS = 32
+OUTLIERS_LEAST = 8
+#: Smallest ratio of a spike to the quantile 1 - `MOST_INPUTS` of the input. The input is no spike if the velocity
+#: responds by more than a multiple of its usual change over `ANSWER_SAMPLES` samples. `OUTLIERS_USUAL` is the quantile
+#: of the changes that counts as usual.
+OUTLIERS_SPIKE = 50.0
+OUTLIERS_ANSWER = 3.0
+ANSWER_SAMPLES = 10
+OUTLIERS_USUAL = 0.95
+#: Number of rows that a sentence names.
+OUTLIERS_NAMED = 4
 
 #: Median of the size of a normal variable, in standard deviations.
 NORMAL_MEDIAN = 0.6745
@@ -47,7 +69,7 @@ class Wrap:
             return what, f"give [encoder] bits = {self.bits}"
         travel = self.span * resolution
         turns = round(travel / (2 * math.pi))
-        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < TUNING.whole_turns
+        whole = turns > 0 and abs(travel / (2 * math.pi * turns) - 1) < WHOLE_TURNS
         return (
             what,
             f'give [encoder] range = "{turns} rev"' if whole else f'give [encoder] range = "{travel:.9g} {unit}"',
@@ -64,7 +86,7 @@ def wrap_of(counts: NDArray[np.int64]) -> Wrap | None:
     jumps = np.abs(change) > extent / 2
     usual = int(np.max(np.abs(change[~jumps]), initial=0))
     if (
-        extent < TUNING.outliers_least or not np.any(jumps) or usual == 0
+        extent < OUTLIERS_LEAST or not np.any(jumps) or usual == 0
     ):  # without motion between the jumps, the jumps are the motion
         return None
     for span in _spans(change, jumps, usual, extent):
@@ -83,9 +105,7 @@ def _smooth(
     """Return whether the motion after unwrapping is smooth, and whether its former jumps resemble the other changes."""
     rough, smooth = (float(np.sum(np.diff(series.astype(np.float64)) ** 2)) for series in (change, undone))
     alike = np.max(np.abs(undone[jumps])) <= 2 * usual + 2
-    return bool(
-        alike and np.max(np.abs(undone)) <= TUNING.outliers_room * span and smooth <= TUNING.outliers_smoother * rough
-    )
+    return bool(alike and np.max(np.abs(undone)) <= OUTLIERS_ROOM * span and smooth <= OUTLIERS_SMOOTHER * rough)
 
 
 def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
@@ -94,9 +114,9 @@ def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, exte
     """
     counter = 2 ** math.ceil(math.log2(extent + 1))
     sizes = np.abs(change[jumps])
-    spans = [counter] if counter <= 2**TUNING.most_bits else []
+    spans = [counter] if counter <= 2**MOST_BITS else []
     typical = round(float(np.median(sizes)) + float(np.median(np.abs(change[~jumps]))))
-    return [*spans, max(typical, extent + 1)] if np.ptp(sizes) <= TUNING.outliers_alike * extent + 2 * usual else spans
+    return [*spans, max(typical, extent + 1)] if np.ptp(sizes) <= OUTLIERS_ALIKE * extent + 2 * usual else spans
 
 
 @dataclass(frozen=True)
@@ -131,7 +151,7 @@ def repair_record(record: Record, max_speed: float | None = None) -> RepairedRec
     rows = np.flatnonzero(wrong & (moved == 0)).tolist()
     spikes = _spikes(record.u, counts)
     undone = "and stay there, so the shift of the counter's zero was undone"
-    first = shifts[: TUNING.outliers_named].tolist()
+    first = shifts[:OUTLIERS_NAMED].tolist()
     jumps = (f"the counts jump by {int(moved[row])} at row {row + 1} {undone}" for row in first)
     named = (Finding("count_jump", text, UNGUARDED) for text in jumps)
     findings = (*_wrong(rows, _limit_of(record, max_speed) > 0), *named, *_spiky(spikes))
@@ -202,21 +222,21 @@ def _rounding_of(counts: Counts) -> float:
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     """Return the samples of the input (n,) that are spikes, which the counts (n,) do not follow."""
     size = np.abs(np.nan_to_num(u))  # the input is unknown in a gap
-    large = np.flatnonzero(size > TUNING.outliers_spike * np.quantile(size, 1 - TUNING.most_inputs, method="lower"))
-    if large.size == 0 or counts.size < 4 * TUNING.answer_samples:
+    large = np.flatnonzero(size > OUTLIERS_SPIKE * np.quantile(size, 1 - MOST_INPUTS, method="lower"))
+    if large.size == 0 or counts.size < 4 * ANSWER_SAMPLES:
         return large[:0]
-    travelled = np.pad(counts.astype(np.float64), 2 * TUNING.answer_samples, mode="edge")
-    half = TUNING.answer_samples
+    travelled = np.pad(counts.astype(np.float64), 2 * ANSWER_SAMPLES, mode="edge")
+    half = ANSWER_SAMPLES
     answer = np.abs(travelled[2 * half :] - 2 * travelled[half:-half] + travelled[: -2 * half])[half:-half]
     moving = answer[answer > 0]
-    usual = float(np.quantile(moving, TUNING.outliers_usual)) if moving.size else 0.0
-    return large[answer[large] <= TUNING.outliers_answer * usual]
+    usual = float(np.quantile(moving, OUTLIERS_USUAL)) if moving.size else 0.0
+    return large[answer[large] <= OUTLIERS_ANSWER * usual]
 
 
 def _format_rows(rows: list[int]) -> str:
     """Return the numbers of rows as text, counted from 1."""
-    shown = ", ".join(str(row + 1) for row in rows[: TUNING.outliers_named])
-    more = f" and {len(rows) - TUNING.outliers_named} more" if len(rows) > TUNING.outliers_named else ""
+    shown = ", ".join(str(row + 1) for row in rows[:OUTLIERS_NAMED])
+    more = f" and {len(rows) - OUTLIERS_NAMED} more" if len(rows) > OUTLIERS_NAMED else ""
     return f"row{'s' * (len(rows) > 1)} {shown}{more}"
 
 

@@ -17,8 +17,9 @@ from pmfid.io.csv_text import Stated
 from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
-from pmfid.records.clock import PlacedRows, named_unit, place_rows, sample_period, time_factor
+from pmfid.records.clock import MIN_SAMPLES, PlacedRows, named_unit, place_rows, sample_period, time_factor
 from pmfid.records.column_checks import (
+    MAX_COUNT,
     check_counts,
     check_lengths,
     check_not_empty,
@@ -35,7 +36,6 @@ from pmfid.records.instants import Instants, find_instants, integrate_stamps
 from pmfid.records.repeats import miss_stale_rows
 from pmfid.records.topics import join_topics
 from pmfid.records.travel import measure_travel
-from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
     with np.errstate(over="ignore", invalid="ignore"):
         parts = y / step
         counts = np.floor(parts + (_edge_between(parts) or tolerance))
-    bad = np.flatnonzero(np.abs(counts) >= TUNING.max_count)
+    bad = np.flatnonzero(np.abs(counts) >= MAX_COUNT)
     if len(bad):
         raise UsageError(
             f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
@@ -82,7 +82,7 @@ def _edge_between(parts: Floats) -> float | None:
 
     The result is None unless the positions fill less than half of a count, as those of a count with rounding do.
     """
-    finite = parts[np.abs(parts) < TUNING.max_count]
+    finite = parts[np.abs(parts) < MAX_COUNT]
     bins = 64
     full = np.flatnonzero(np.bincount(((finite % 1.0) * bins).astype(np.intp) % bins, minlength=bins))
     if not full.size:
@@ -439,9 +439,9 @@ def _rows(
     repeated = np.zeros(samples, bool)
     np.logical_and(u[1:] == u[:-1], y[1:] == y[:-1], out=repeated[1:])
     rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config, y)
-    if rows.rows.size < TUNING.min_samples:
+    if rows.rows.size < MIN_SAMPLES:
         raise UsageError(
-            f"{rows.rows.size} of {samples} rows are usable, and at least {TUNING.min_samples} are needed"
+            f"{rows.rows.size} of {samples} rows are usable, and at least {MIN_SAMPLES} are needed"
             f"; {np.sum(~np.isfinite(u))} rows lack a usable input, {np.sum(~np.isfinite(y))} a usable output, and "
             f"{np.sum(out)} are left out: correct these columns, or record longer"
         )

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pmfid.records.tuning import TUNING
+from pmfid.records.clock import MIN_SAMPLES
 from pmfid.types import Floats
+
+#: Greatest part of the rows with both values if input and output have separate rows.
+MOST_TOGETHER = 0.05
 
 
 def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]]:
@@ -18,11 +21,11 @@ def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple
     unchanged.
     """
     u, y = np.isfinite(columns["input"]), np.isfinite(columns["output"])
-    if "time" not in columns or np.sum(u & y) > TUNING.most_together * min(np.sum(u), np.sum(y)):
+    if "time" not in columns or np.sum(u & y) > MOST_TOGETHER * min(np.sum(u), np.sum(y)):
         return dict(columns), ()
     known = np.isfinite(columns["time"])
     given, stamps = (columns["time"][known & rows] for rows in (u, y))
-    if min(given.size, stamps.size) < TUNING.min_samples or min(np.min(np.diff(given)), np.min(np.diff(stamps))) <= 0:
+    if min(given.size, stamps.size) < MIN_SAMPLES or min(np.min(np.diff(given)), np.min(np.diff(stamps))) <= 0:
         return dict(columns), ()
     values = columns["input"][known & u]
     impulse = np.r_[0.0, np.cumsum(values[:-1] * np.diff(given))]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.records.tuning import TUNING
+from pmfid.records.column_checks import RECORD_WHOLE
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
     as linear between samples.
     """
     steps = velocity * (dt / resolution)
-    if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < TUNING.record_whole):
+    if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < RECORD_WHOLE):
         return np.cumsum(np.rint(steps)) * resolution, (
             "the velocity is the change of the counts, and the position is their sum"
         )

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.results import Track
-from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
@@ -22,6 +21,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
+MAX_POINTS = 2000
+FIGURES_WIDTH = 9.0
+#: Width of a figure [inch] on a phone, and number of points of a smooth curve, of a curve on a phone, and of
+#: periods in a map.
+FIGURES_PHONE = 4.5
+FIGURES_POINTS = 800
+#: Longest label of a legend with two columns, and longest line of the label of an axis on a phone.
+FIGURES_LABEL = 18
+FIGURES_LINE = 48
 
 #: Colours of Okabe and Ito (2008) without yellow and black, which colour-blind readers can distinguish.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
@@ -73,7 +82,7 @@ def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any)
     from matplotlib.figure import Figure
 
     with figure_style():
-        figure = Figure(figsize=(TUNING.figures_width, height), layout="constrained")
+        figure = Figure(figsize=(FIGURES_WIDTH, height), layout="constrained")
         yield figure, list(figure.subplots(rows, columns, squeeze=False, **subplots).ravel())
 
 
@@ -91,20 +100,20 @@ def narrow_figure(figure: Figure) -> None:
             panel.set_subplotspec(stack[row, 0])
             panel.tick_params(labelleft=True)
     for legend in (*figure.legends, *filter(None, (panel.get_legend() for panel in panels))):
-        if legend.get_window_extent().width > 0.95 * TUNING.figures_phone * figure.dpi:
+        if legend.get_window_extent().width > 0.95 * FIGURES_PHONE * figure.dpi:
             labels = [text.get_text() for text in legend.get_texts()]
             handles = [handle for handle in legend.legend_handles if handle is not None]
-            columns = 2 if max(map(len, labels)) <= TUNING.figures_label else 1
+            columns = 2 if max(map(len, labels)) <= FIGURES_LABEL else 1
             legend.remove()
             figure.legend(handles, labels, loc="outside upper center", ncols=columns)
             height += 0.2 * len(labels) / columns
     for panel in panels:
-        panel.set_xlabel(fill(panel.get_xlabel(), TUNING.figures_line))
+        panel.set_xlabel(fill(panel.get_xlabel(), FIGURES_LINE))
         for line in panel.lines:
             x, y = np.asarray(line.get_xydata(), float).T
-            rows = np.union1d(decimation(y, TUNING.figures_points), np.flatnonzero(np.isnan(y)))
+            rows = np.union1d(decimation(y, FIGURES_POINTS), np.flatnonzero(np.isnan(y)))
             line.set_data(x[rows], y[rows])
-    figure.set_size_inches(TUNING.figures_phone, height)
+    figure.set_size_inches(FIGURES_PHONE, height)
 
 
 def plain_ticks(axis: Axis) -> None:
@@ -124,7 +133,7 @@ def save_png(figure: Figure, path: Path, width: int = 1200) -> None:
         figure.savefig(path, format="png", dpi=width / figure.get_figwidth(), metadata={"Software": None})
 
 
-def decimation(y: ArrayLike, limit: int = TUNING.max_points) -> NDArray[np.int64]:
+def decimation(y: ArrayLike, limit: int = MAX_POINTS) -> NDArray[np.int64]:
     """Return rising indices of at most `limit` (>= 4) samples of y (n,), for the ends and the extremes of equal parts.
 
     A record of at most `limit` samples keeps all its samples. Samples that are not finite are never extremes.
@@ -140,12 +149,12 @@ def decimation(y: ArrayLike, limit: int = TUNING.max_points) -> NDArray[np.int64
 
 
 def stretches(t: ArrayLike, flags: Flags) -> list[tuple[float, float]]:
-    """Return start and length [s] of the stretches in which flags (n,) are set, at most max_points / 2 stretches.
+    """Return start and length [s] of the stretches in which flags (n,) are set, at most MAX_POINTS / 2 stretches.
 
     In a long record, a group of neighbouring samples counts as set if one of its samples is set.
     """
     t = np.asarray(t, float)
-    starts = np.arange(0, t.size, -(-t.size // TUNING.max_points))
+    starts = np.arange(0, t.size, -(-t.size // MAX_POINTS))
     grouped = np.logical_or.reduceat(flags, starts)
     change = np.flatnonzero(np.diff(np.r_[False, grouped, False].astype(np.int8)))
     edges = np.r_[t[starts], _end(t)][change]
@@ -186,7 +195,7 @@ def draw_estimate(axes: Axes, t: Floats, theta: Floats, std: Floats) -> tuple[Fl
     An infinite standard error has no band.
     """
     low, high = theta - 2 * std, theta + 2 * std
-    i = np.union1d(decimation(low, TUNING.max_points // 2), decimation(high, TUNING.max_points // 2))
+    i = np.union1d(decimation(low, MAX_POINTS // 2), decimation(high, MAX_POINTS // 2))
     shown = np.isfinite(std[i])
     _line(axes, t, theta, color=COLOURS[0], label="estimate")
     axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")

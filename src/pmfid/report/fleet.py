@@ -15,16 +15,24 @@ from pmfid.fleet.history import History
 from pmfid.fleet.source import SECONDS
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
 from pmfid.fleet.verdicts import when, with_error
-from pmfid.report.figures import COLOURS, open_figure
-from pmfid.report.html import write_page
+from pmfid.report.figures import COLOURS, FIGURES_POINTS, open_figure
+from pmfid.report.html import HTML_LONG, write_page
 from pmfid.report.page import Cell, ResultPage, Section, Table
-from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import polars as pl
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+#: Numbers of drawn trends, and of quiet rows for comparison in the map.
+FLEET_TRENDS = 6
+FLEET_QUIET = 10
+#: Least length of a history [days] whose times have only dates as labels.
+FLEET_DATES = 2.0
+#: Largest number of rows in a table or a map, and of axes that are drawn individually. Files next to the report
+#: have all axes and problems.
+FLEET_LISTED = 50
 
 #: Colours for the verdicts, and for the quality of a period, with the worst first.
 KINDS = {
@@ -45,14 +53,14 @@ def moving(found: History) -> pl.DataFrame:
     """Return the first axes whose verdict concerns their course over time."""
     import polars as pl
 
-    return found.named.filter(pl.col("kind").is_in(MOVING)).head(TUNING.fleet_trends)
+    return found.named.filter(pl.col("kind").is_in(MOVING)).head(FLEET_TRENDS)
 
 
 def ticks_of(times: Floats) -> list[str]:
     """Return the labels of times [s] at an axis, as dates if the dates distinguish the times."""
     texts = [when(float(time)) for time in times]
     days = (times[-1] - times[0]) / SECONDS["d"] if times.size else 0.0
-    if days >= TUNING.fleet_dates or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
+    if days >= FLEET_DATES or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
         return [text.partition(" ")[0] for text in texts]
     return [text[5:-3].replace(" ", "\n") if " " in text else text for text in texts]
 
@@ -97,7 +105,7 @@ def trend_figure(found: History) -> Figure:
 def label_of(axis: str) -> str:
     """Return a short name for a figure, without control characters and formulas."""
     text = printable(axis).replace("\n", " ").replace("$", r"\$")
-    return text if len(text) <= TUNING.html_long else f"{text[: TUNING.html_long - 1]}…"
+    return text if len(text) <= HTML_LONG else f"{text[: HTML_LONG - 1]}…"
 
 
 def map_figure(found: History) -> Figure:
@@ -109,7 +117,7 @@ def map_figure(found: History) -> Figure:
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
     shown = found.periods.filter(found.periods["axis"].is_in(order))
-    edges = times[:: -(-times.size // TUNING.figures_points)]
+    edges = times[:: -(-times.size // FIGURES_POINTS)]
     grid = np.full((len(order), edges.size), len(MAP) - 1)
     levels = {name: level for level, name in enumerate(MAP)}
     for axis, period, quality, findings in shown.select("axis", "period", "quality", "findings").iter_rows():
@@ -135,7 +143,7 @@ def _order(found: History) -> list[str]:
     rows = enumerate(found.axes.select("axis", "kind").iter_rows())
     ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
     notable = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
-    return [axis for *_, axis in ranked][: min(TUNING.fleet_listed, notable + TUNING.fleet_quiet)]
+    return [axis for *_, axis in ranked][: min(FLEET_LISTED, notable + FLEET_QUIET)]
 
 
 def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> None:
@@ -178,12 +186,12 @@ def _attention(found: History) -> Section:
     text += _besides(found)
     rows: list[list[Cell]] = [
         [place, row["axis"], row["why"], row["kind"], _strength(row["score"]), row["type"]]
-        for place, row in enumerate(named.head(TUNING.fleet_listed).iter_rows(named=True), 1)
+        for place, row in enumerate(named.head(FLEET_LISTED).iter_rows(named=True), 1)
     ]
     typed = any(row[-1] for row in rows)
     header = ("", "axis", "why", "verdict", "evidence", *(["type"] if typed else []))
     table = (header, [row if typed else row[:-1] for row in rows]) if rows else None
-    return Section("Who needs attention", text + _first(TUNING.fleet_listed, named.height), table)
+    return Section("Who needs attention", text + _first(FLEET_LISTED, named.height), table)
 
 
 def _besides(found: History) -> str:
@@ -221,15 +229,13 @@ def _unknown(found: History) -> Section | None:
         return None
     findings = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
     rows: list[list[Cell]] = [
-        [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(TUNING.fleet_listed)
+        [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(FLEET_LISTED)
     ]
     text = (
         "The state of these axes is not known. They stand still, their counts or input do not reach the log, or their "
         "records are too short or damaged."
     )
-    return Section(
-        "No estimate", text + _first(TUNING.fleet_listed, found.unknown.height), (("axis", "findings"), rows)
-    )
+    return Section("No estimate", text + _first(FLEET_LISTED, found.unknown.height), (("axis", "findings"), rows))
 
 
 def _words(codes: str) -> str:
@@ -249,10 +255,8 @@ def _wandering(found: History) -> Section | None:
         "lubrication. A step or a line explains this motion no better than a random walk, so these axes do not count "
         "as changed or drifting. The size is the root mean square about the mean; the largest sizes come first."
     )
-    rows: list[list[Cell]] = [
-        [row["axis"], row["why"]] for row in wander.head(TUNING.fleet_listed).iter_rows(named=True)
-    ]
-    return Section("Axes that wander", text + _first(TUNING.fleet_listed, wander.height), (("axis", "what"), rows))
+    rows: list[list[Cell]] = [[row["axis"], row["why"]] for row in wander.head(FLEET_LISTED).iter_rows(named=True)]
+    return Section("Axes that wander", text + _first(FLEET_LISTED, wander.height), (("axis", "what"), rows))
 
 
 def _strength(score: float) -> str:
@@ -291,21 +295,21 @@ def _map(found: History) -> Section | None:
         "Each row is an axis and each column a period. Axes that need attention are at the top, with names in the "
         "colour of the verdict."
     )
-    if found.axes.height > TUNING.fleet_quiet:
-        text += f" The other axes with the most doubtful periods follow, up to {TUNING.fleet_listed} rows in all."
+    if found.axes.height > FLEET_QUIET:
+        text += f" The other axes with the most doubtful periods follow, up to {FLEET_LISTED} rows in all."
     return Section("Map of findings", text, figure=lambda: map_figure(found))
 
 
 def _list_unused(found: History) -> Section | None:
     rows: list[list[Cell]] = [
         [row["axis"] or row["file"], row["code"], row["times"], when(start) if start < math.inf else "", row["text"]]
-        for row in found.problems.head(TUNING.fleet_listed).iter_rows(named=True)
+        for row in found.problems.head(FLEET_LISTED).iter_rows(named=True)
         for start in [row["from"]]
     ]
     if not rows:
         return None
     text = "Data that were changed or left out. All other data are in the results."
-    text += _first(TUNING.fleet_listed, found.problems.height, "problems")
+    text += _first(FLEET_LISTED, found.problems.height, "problems")
     return Section("Unusable data", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
 
 

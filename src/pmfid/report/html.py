@@ -16,10 +16,12 @@ import jinja2
 from pmfid.durable import replace_file
 from pmfid.report.figures import figure_style, narrow_figure
 from pmfid.report.page import ResultPage, Section, format_cell
-from pmfid.report.tuning import TUNING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+#: Number of letters of a name in a figure, and of a cell from which it may be broken into several lines.
+HTML_LONG = 24
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -80,13 +82,13 @@ def _part(section: Section, prefix: str) -> dict[str, object]:
     header, rows = section.table or ((), ())
     texts = [[format_cell(cell) for cell in row] for row in rows]
     columns = [[row[column] for row in texts] for column in range(len(header))]
-    numeric = [any(map(_is_number, own)) and max(map(len, own)) <= TUNING.html_long for own in columns]
+    numeric = [any(map(_is_number, own)) and max(map(len, own)) <= HTML_LONG for own in columns]
     return {
         "heading": section.heading,
         "paragraphs": [part for part in section.text.split("\n\n") if part.strip()],
         "header": list(zip(header, numeric, strict=True)),
         "rows": [list(zip(row, numeric, strict=True)) for row in texts],
-        "long": TUNING.html_long,
+        "long": HTML_LONG,
         "code": section.code,
         "svg": "" if section.figure is None else _own_ids(svg(section.figure()), prefix),
         "first": section.first,

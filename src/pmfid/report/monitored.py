@@ -34,13 +34,16 @@ from pmfid.report.figures import (
 )
 from pmfid.report.html import write_report
 from pmfid.report.page import Section
-from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+SHOWN_ALARMS = 200
+#: Largest number of rows in the figures.
+MONITORED_ROWS = 8000
 
 #: Rows of the strip from the top, with states of the monitor, then status bits of the estimate.
 COLOUR_OF = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
@@ -178,7 +181,7 @@ def write_monitored(path: Path, setup: Setup, run: MonitoredRun) -> None:
     """Write one self-contained HTML file on a run. Raises OSError if the file cannot be written."""
     sections = [_verdict(setup, run)]
     if run.record.u.size > 1:
-        stride = -(-run.record.u.size // TUNING.monitored_rows)
+        stride = -(-run.record.u.size // MONITORED_ROWS)
         sections.append(
             Section("The run", _run_text(stride, setup), figure=lambda: run_figure(run_data(setup, run, stride)))
         )
@@ -231,7 +234,7 @@ def _verdict(setup: Setup, run: MonitoredRun) -> Section:
     if not run.alarms:
         return Section("No alarm", text)
     head = ("alarm [s]", "since [s]", "parameter", "change [%]", "change", "std", "unit", "settled on", "or")
-    rows = [row for alarm in run.alarms[: TUNING.shown_alarms] for row in _alarm_rows(run, alarm)]
+    rows = [row for alarm in run.alarms[:SHOWN_ALARMS] for row in _alarm_rows(run, alarm)]
     return Section("Alarms", text, (head, rows))
 
 

@@ -41,10 +41,10 @@ from pmfid.report.figures import (
     open_figure,
     residual_figure,
 )
+from pmfid.report.fleet import FLEET_LISTED
 from pmfid.report.friction import curve_figure
 from pmfid.report.monitored import chance_figure
 from pmfid.report.result import bode_of, motion_figure, output_figure, step_figure
-from pmfid.report.tuning import TUNING
 from pmfid.report.validation import horizon_figure, run_figure
 from pmfid.status import Status
 
@@ -81,7 +81,7 @@ def fleet_figure(t: ArrayLike, tracks: Tracks, label: str) -> Figure:
     theta = np.where(tracks.has_status(Status.STARTING)[..., None], np.nan, tracks.theta)
     with open_figure(0.9 + 1.9 * len(tracks.names), len(tracks.names), sharex=True) as (figure, panels):
         for i, (axes, name, unit) in enumerate(zip(panels, tracks.names, tracks.units, strict=True)):
-            for one in theta[: TUNING.fleet_listed, :, i]:
+            for one in theta[:FLEET_LISTED, :, i]:
                 _line(axes, time, one, color=GREY, lw=0.6, alpha=0.6, marker="." if single else None)
             middle, marker = np.median(theta[..., i], axis=0), "o" if single else None
             _line(axes, time, middle, color=COLOURS[0], label="median of all axes", marker=marker)

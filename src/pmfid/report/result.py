@@ -21,6 +21,7 @@ from pmfid.pipeline.result import DriveResult, ProcessResult, Result, findings_l
 from pmfid.records.record import Record
 from pmfid.report.figures import (
     COLOURS,
+    FIGURES_POINTS,
     GREY,
     decimation,
     estimate_figure,
@@ -32,12 +33,17 @@ from pmfid.report.figures import (
 )
 from pmfid.report.html import write_bytes, write_page
 from pmfid.report.page import ResultPage, Section
-from pmfid.report.tuning import TUNING
 from pmfid.report.validation import run_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+#: Frequencies from a tenth of the slowest to ten times the fastest corner, and time constants of a step response.
+RESULT_DECADES = 1.0
+RESULT_SETTLING = 8.0
+#: Number of structures in the table of a search.
+RESULT_ROWS = 15
 
 HOW_TO_READ = (
     "std: scatter of the value between records of this length. model spread: largest effect on the value of friction, "
@@ -218,10 +224,10 @@ def bode_of(process: Process, dt: float) -> Figure:
     corners = corners[corners > 0]
     nyquist = np.pi / dt
     low, high = (
-        np.log10(np.min(corners)) - TUNING.result_decades,
-        min(np.log10(np.max(corners)) + TUNING.result_decades, np.log10(nyquist)),
+        np.log10(np.min(corners)) - RESULT_DECADES,
+        min(np.log10(np.max(corners)) + RESULT_DECADES, np.log10(nyquist)),
     )
-    w = np.logspace(low, max(high, low + TUNING.result_decades), TUNING.figures_points)
+    w = np.logspace(low, max(high, low + RESULT_DECADES), FIGURES_POINTS)
     G, magnitude, phase = process.frequency_response(w)
     size, angle = 20 * np.log10(np.abs(G)), np.unwrap(np.angle(G))
     with open_figure(5.0, 2, sharex=True) as (figure, (upper, lower)):
@@ -240,7 +246,7 @@ def step_figure(process: Process) -> Figure:
     speeds = np.abs(process.poles.real[process.poles != 0])
     fastest = float(np.max(np.abs(process.poles), initial=0.0)) or 1.0  # integrators alone have no time constant
     slowest = float(np.max(1 / np.maximum(speeds, 1e-3 * fastest), initial=1 / fastest))
-    t = np.linspace(0, TUNING.result_settling * slowest + 2 * process.delay, TUNING.figures_points)
+    t = np.linspace(0, RESULT_SETTLING * slowest + 2 * process.delay, FIGURES_POINTS)
     y, std = process.step_response(t)
     with open_figure(2.6) as (figure, (axes,)):
         _draw_band(axes, t, y, 2 * std)
@@ -287,7 +293,7 @@ def search_rows(search: Search) -> list[list[str]]:
             f"{row.fit:.2f}",
             f"{row.condition:.1e}" + ("" if row.settled else " (not settled)") + (" (refused)" if row.refused else ""),
         ]
-        for row in search.candidates[: TUNING.result_rows]
+        for row in search.candidates[:RESULT_ROWS]
     ]
 
 

@@ -9,10 +9,12 @@ from pmfid.diagnostics.free_run import FreeRun
 from pmfid.pipeline.validation import Validation
 from pmfid.report.figures import COLOURS, followed_figure, open_figure, plain_ticks
 from pmfid.report.page import ResultPage, Section
-from pmfid.report.tuning import TUNING
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+#: Largest number of records that have their own figure.
+MOST_FIGURES = 12
 
 Rows = tuple[list[str], list[list[str]]]
 
@@ -32,7 +34,7 @@ def validation_page(found: Validation) -> ResultPage:
         sections.append(Section("Restarted", text, horizon_rows(found), lambda: horizon_figure(found)))
     sections += [
         Section(f"Measured and simulated: {run.name}", figure=partial(run_figure, run, found.unit))
-        for run in found.runs[: TUNING.most_figures]
+        for run in found.runs[:MOST_FIGURES]
     ]
     status = [f"status: {', '.join(found.status)}"] if found.status else []
     remarks = [*status, *(f"note: {note}" for note in found.notes)]

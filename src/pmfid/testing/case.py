@@ -32,8 +32,36 @@ from pmfid.models.equation import (
     VISCOUS_FORWARD,
 )
 from pmfid.models.transfer_function import TransferFunction
-from pmfid.testing.tuning import TUNING
 from pmfid.types import Counts, Floats
+
+CASE_SAMPLES = 3000
+#: Changes of the random input in the shortest record.
+CASE_CHANGES = 250
+#: Duration of an input step in time constants of the filters, for a drive and a process.
+DRIVE_HOLD = 3.0
+PROCESS_HOLD = 0.8
+#: Time constant of a drive in those of the filters, friction and load as fractions of the force, and the ratio of
+#: backward to forward friction.
+DRIVE_TIME = 3.0
+CASE_COULOMB = 0.15
+CASE_LOAD = 0.05
+CASE_BACKWARD = 1.3
+#: Natural frequency of a drive on a spring, as a fraction of the cutoff.
+CASE_SPRING = 0.2
+#: Frequencies of a process's poles, their damping, and its zeros. Frequencies and zeros are fractions of the
+#: cutoff.
+CASE_FREQUENCIES = (0.5, 0.2, 0.8)
+CASE_DAMPING = 0.5
+CASE_ZEROS = -1.5
+#: An unknown dead time [samples].
+CASE_LATE = 2.5
+#: Standard deviation of a process, as a multiple of a drive's motion in a sample.
+CASE_RANGE = 100.0
+#: Counts in a sample, roughly. The encoder has no effect at `CASE_FINE` and a visible one at `CASE_COARSE`.
+CASE_FINE = 5000.0
+CASE_COARSE = 5.0
+#: Samples that are enough for every method.
+CASE_SHORT = 1000
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -99,7 +127,7 @@ def _freeze(array: NDArray[Scalar]) -> NDArray[Scalar]:
 def _input(setting: RecordSetting, hold: float, rng: np.random.Generator) -> Floats:
     """Return random input steps of four sizes, each held for `hold` time constants of the filters."""
     samples = max(1, round(hold / (setting.cutoff * setting.dt)))
-    changes = max(TUNING.case_changes, -(-TUNING.case_samples // samples))
+    changes = max(CASE_CHANGES, -(-CASE_SAMPLES // samples))
     return rng.choice([-1.0, -0.6, 0.6, 1.0], changes).repeat(samples)
 
 
@@ -108,19 +136,19 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
 
     equation, cutoff = setting.model.equation, setting.cutoff
     resolution, dt, force = setting.encoder.resolution, setting.dt, abs(equation.input_gain)
-    u = _input(setting, TUNING.drive_hold, rng)
+    u = _input(setting, DRIVE_HOLD, rng)
     viscous = force * dt / (setting.per_sample * resolution)  # the steady speed is per_sample counts in a sample
-    mass = viscous * TUNING.drive_time / cutoff
+    mass = viscous * DRIVE_TIME / cutoff
     roles = np.zeros(len(equation.roles))
-    roles[MASS], roles[OFFSET] = mass, TUNING.case_load * force
+    roles[MASS], roles[OFFSET] = mass, CASE_LOAD * force
     roles[VISCOUS_FORWARD : VISCOUS_FORWARD + 2], roles[COULOMB_FORWARD : COULOMB_FORWARD + 2] = (
         viscous,
-        TUNING.case_coulomb * force,
+        CASE_COULOMB * force,
     )
     if equation.symmetric is not equation:  # otherwise the directions share friction and load
-        roles[COULOMB_BACKWARD] *= TUNING.case_backward
+        roles[COULOMB_BACKWARD] *= CASE_BACKWARD
         roles[OFFSET] = 0.0
-    roles[STIFFNESS] = mass * (TUNING.case_spring * cutoff) ** 2
+    roles[STIFFNESS] = mass * (CASE_SPRING * cutoff) ** 2
     present = np.array([index is not None for index in equation.roles])
     velocity = _kernel64.simulate(list(np.where(present, roles, 0.0)), equation.input_gain, dt, u)[0]
     y = np.r_[0.0, np.cumsum(velocity[:-1])] * dt
@@ -132,16 +160,12 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
 
 
 def _process(setting: RecordSetting, model: TransferFunction, rng: np.random.Generator) -> ContractRecord:
-    u = _input(setting, TUNING.process_hold, rng)
+    u = _input(setting, PROCESS_HOLD, rng)
     denominator = _denominator(model, setting.cutoff)
-    numerator = np.atleast_1d(np.poly(TUNING.case_zeros * setting.cutoff * np.arange(1, model.m + 1)))
-    late = (
-        TUNING.case_late * setting.dt
-        if model.dead_time == ESTIMATE
-        else float(model.dead_time) + model.delay * setting.dt
-    )
+    numerator = np.atleast_1d(np.poly(CASE_ZEROS * setting.cutoff * np.arange(1, model.m + 1)))
+    late = CASE_LATE * setting.dt if model.dead_time == ESTIMATE else float(model.dead_time) + model.delay * setting.dt
     y = _respond(numerator, denominator, u, setting.dt, late / setting.dt)
-    scale = TUNING.case_range * setting.per_sample * setting.encoder.resolution / float(np.std(y))
+    scale = CASE_RANGE * setting.per_sample * setting.encoder.resolution / float(np.std(y))
     values = {f"a{i}": value for i, value in enumerate(denominator[::-1])}
     values |= {f"b{j}": scale * value for j, value in enumerate(numerator[::-1])}
     values[DEAD_TIME] = late
@@ -154,10 +178,10 @@ def _denominator(model: TransferFunction, cutoff: float) -> Floats:
     """Return the coefficients in descending powers, with damped pairs of poles and poles at zero."""
     left = model.n - model.integrators
     coefficients: Floats = np.ones(1)
-    for part in TUNING.case_frequencies:
+    for part in CASE_FREQUENCIES:
         pole = part * cutoff
         factors = {0: [1.0], 1: [1.0, pole]}
-        coefficients = np.convolve(coefficients, factors.get(left, [1.0, 2 * TUNING.case_damping * pole, pole**2]))
+        coefficients = np.convolve(coefficients, factors.get(left, [1.0, 2 * CASE_DAMPING * pole, pole**2]))
         left = max(0, left - 2)
     return np.asarray(np.r_[coefficients, np.zeros(model.integrators)])
 
@@ -247,7 +271,7 @@ class Case:
     def fine(self) -> ContractRecord:
         """A record that determines all parameters."""
         return (
-            plant_for(self.configured, TUNING.case_fine, 1)
+            plant_for(self.configured, CASE_FINE, 1)
             if self.record is None
             else wrap_record(*check_arrays(*self.record))
         )
@@ -255,7 +279,7 @@ class Case:
     @cached_property
     def coarse(self) -> ContractRecord:
         """A record of a slower plant, with few counts in a sample."""
-        return plant_for(self.configured, TUNING.case_coarse, 2) if self.record is None else self.fine
+        return plant_for(self.configured, CASE_COARSE, 2) if self.record is None else self.fine
 
     @cached_property
     def result(self) -> Fit | Track:
@@ -269,7 +293,7 @@ class Case:
 
     @property
     def short(self) -> tuple[Floats, Counts]:
-        return self.fine.u[: TUNING.case_short], self.fine.counts[: TUNING.case_short]
+        return self.fine.u[:CASE_SHORT], self.fine.counts[:CASE_SHORT]
 
     @cached_property
     def coarse_result(self) -> Fit | Track:

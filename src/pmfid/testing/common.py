@@ -16,8 +16,17 @@ from pmfid.models.drive import Drive, EquationModel
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, VISCOUS_BACKWARD, VISCOUS_FORWARD, Term
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.testing.case import COPIES, Case, call, last, require, require_refusal, result_of
-from pmfid.testing.tuning import TUNING
 from pmfid.types import Floats
+
+#: Greatest relative error of the parameters on a fine record.
+COMMON_NEAR = 0.1
+#: Greatest relative difference after a change of units or signs, caused by the rounding to counts.
+COMMON_SAME = 1e-3
+COMMON_MIRRORED = 5e-3
+#: Factor between two units of position.
+COMMON_THOUSAND = 1000.0
+#: Factor of the sample period in a second configuration, chosen so that every cutoff stays valid.
+OTHER_DT = 0.5
 
 
 def configuration_is_a_value(case: Case) -> None:
@@ -26,7 +35,7 @@ def configuration_is_a_value(case: Case) -> None:
     require_refusal(FrozenInstanceError, "a new value of dt", lambda: setattr(estimator, "dt", 1.0))
     require(estimator == same, "two of the same configuration are not equal")
     require(hash(estimator) == hash(same), "two of the same configuration have two hashes")
-    require(estimator != replace(estimator, dt=TUNING.other_dt * estimator.dt), "another dt makes no difference to ==")
+    require(estimator != replace(estimator, dt=OTHER_DT * estimator.dt), "another dt makes no difference to ==")
     for name, again in COPIES.items():
         other = again(estimator)
         require(type(other) is type(estimator) and other == estimator, f"{name} gives another configuration")
@@ -85,7 +94,7 @@ def finds_the_truth(case: Case) -> None:
     known = case.fine.theta != 0
     truth, theta = case.fine.theta[known], case.theta[: known.size][known]
     error = np.abs(theta / truth - 1)
-    require(bool(np.all(error < TUNING.common_near)), f"of {truth} it finds {theta}")
+    require(bool(np.all(error < COMMON_NEAR)), f"of {truth} it finds {theta}")
 
 
 def more_data_make_shorter_error_bars(case: Case) -> None:
@@ -102,7 +111,7 @@ def more_data_make_shorter_error_bars(case: Case) -> None:
 def mirrors(case: Case) -> None:
     """Check that the reversed signs of input and counts exchange the directions and reverse the loads."""
     result = result_of(case.configured, -case.fine.u, -case.fine.counts)
-    _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, TUNING.common_mirrored)
+    _require_near(last(result.theta), _mirror_theta(case.configured, case.theta), case.theta, COMMON_MIRRORED)
 
 
 def scales_with_the_units(case: Case) -> None:
@@ -113,7 +122,7 @@ def scales_with_the_units(case: Case) -> None:
         "model": _scale_forces(configured.model),
     }
     result = result_of(change_arguments(configured, changes), case.fine.u, case.fine.counts)
-    _require_near(last(result.theta), case.theta * factors, case.theta * factors, TUNING.common_same)
+    _require_near(last(result.theta), case.theta * factors, case.theta * factors, COMMON_SAME)
 
 
 def _require_near(found: Floats, expected: Floats, scale: Floats, part: float) -> None:
@@ -132,9 +141,7 @@ def _mirror_theta(estimator: Estimator, theta: Floats) -> Floats:
 
 def _factors(estimator: Estimator) -> Floats:
     """Return the factors by which parameters grow when position and force are given in thousandths of their units."""
-    return _each(
-        estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else TUNING.common_thousand
-    )
+    return _each(estimator, lambda term: 1.0 if term.facts.measured or term.signal == "input" else COMMON_THOUSAND)
 
 
 def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
@@ -144,18 +151,18 @@ def _each(estimator: Estimator, factor: Callable[[Term], float]) -> Floats:
 
 
 def _scale_encoder(encoder: Encoder) -> Encoder:
-    speed = None if encoder.max_speed is None else TUNING.common_thousand * encoder.max_speed
-    return replace(encoder, resolution=TUNING.common_thousand * encoder.resolution, max_speed=speed)
+    speed = None if encoder.max_speed is None else COMMON_THOUSAND * encoder.max_speed
+    return replace(encoder, resolution=COMMON_THOUSAND * encoder.resolution, max_speed=speed)
 
 
 def _scale_forces(model: object) -> object:
     if isinstance(model, TransferFunction):  # the estimated gains contain the scale
         return model
     if isinstance(model, Drive):
-        return replace(model, input_gain=TUNING.common_thousand * model.equation.input_gain)
+        return replace(model, input_gain=COMMON_THOUSAND * model.equation.input_gain)
     if isinstance(model, EquationModel):
         known = tuple(
-            replace(term, coefficient=TUNING.common_thousand * term.coefficient) if term.signal == "input" else term
+            replace(term, coefficient=COMMON_THOUSAND * term.coefficient) if term.signal == "input" else term
             for term in model.equation.known
         )
         return EquationModel(replace(model.equation, known=known))

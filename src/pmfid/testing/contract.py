@@ -29,8 +29,16 @@ from pmfid.testing.case import (
     require_refusal,
     result_of,
 )
-from pmfid.testing.tuning import TUNING
+from pmfid.testing.common import OTHER_DT
 from pmfid.types import Counts, Floats
+
+CONTRACT_SYMMETRIC = 1e-9
+#: Samples before and after a copy or a saved state.
+CONTRACT_BEFORE = 1000
+CONTRACT_AFTER = 400
+#: Greatest relative difference between the two precisions.
+CONTRACT_SINGLE = 2e-3
+HOSTILE_SAMPLES = 20_000
 
 
 def copies_fit_alike(case: Case) -> None:
@@ -54,7 +62,7 @@ def covariance_is_one(case: Case) -> None:
     if not isinstance(fit, Fit):
         raise ContractError(f"fit gives a {type(fit).__name__}, not a Fit")
     correlation = fit.theta_cov / np.outer(fit.theta_std, fit.theta_std)
-    require(bool(np.max(np.abs(correlation - correlation.T)) < TUNING.contract_symmetric), "theta_cov is not symmetric")
+    require(bool(np.max(np.abs(correlation - correlation.T)) < CONTRACT_SYMMETRIC), "theta_cov is not symmetric")
     require(bool(np.all(np.linalg.eigvalsh(correlation) > 0)), "theta_cov is not positive definite")
     require(0 <= fit.relative_error < 1, f"relative_error is {fit.relative_error}")
 
@@ -84,14 +92,14 @@ def parts_are_the_whole(case: Case) -> None:
     """Check that a run in two parts has the bits of the whole run. The second part starts from a saved state."""
     u, counts = _later(case)
     whole = case.start_estimator().run(
-        case.fine.u[: TUNING.contract_before + TUNING.contract_after],
-        case.fine.counts[: TUNING.contract_before + TUNING.contract_after],
+        case.fine.u[: CONTRACT_BEFORE + CONTRACT_AFTER],
+        case.fine.counts[: CONTRACT_BEFORE + CONTRACT_AFTER],
     )
     resumed = case.start_estimator()
     resumed.set_state(_run_some(case).get_state())
     stepped = [resumed.step(float(value), int(count)).theta for value, count in zip(u, counts, strict=True)]
     require(
-        np.array_equal(np.array(stepped), whole.theta[TUNING.contract_before :]),
+        np.array_equal(np.array(stepped), whole.theta[CONTRACT_BEFORE:]),
         "step from a saved state has other bits than run",
     )
     require(np.array_equal(resumed.estimate.theta, stepped[-1]), "estimate is not the one of the last step")
@@ -107,7 +115,7 @@ def a_foreign_state_is_refused(case: Case) -> None:
     """Check that a foreign, damaged or empty state is refused with a UsageError and leaves no trace."""
     estimator = _run_some(case)
     before = estimator.get_state()
-    other = Case(replace(case.configured, dt=TUNING.other_dt * case.configured.dt)).start_estimator()
+    other = Case(replace(case.configured, dt=OTHER_DT * case.configured.dt)).start_estimator()
     damaged = before[:-1] + bytes([before[-1] ^ 1])
     for what, state in (("of another dt", other.get_state()), ("that is damaged", damaged), ("of no bytes", b"")):
         require_refusal(UsageError, f"a state {what}", partial(estimator.set_state, state))
@@ -130,8 +138,8 @@ def rest_says_poor_excitation(case: Case) -> None:
 def anything_leaves_numbers(case: Case) -> None:
     """Check that extreme inputs, NaN and jumping counts leave theta finite and no standard error NaN."""
     rng = np.random.default_rng(9)
-    u = rng.choice(HOSTILE, TUNING.hostile_samples)
-    track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, TUNING.hostile_samples))
+    u = rng.choice(HOSTILE, HOSTILE_SAMPLES)
+    track = case.start_estimator().run(u, rng.integers(-(2**31), 2**31, HOSTILE_SAMPLES))
     require(bool(np.all(np.isfinite(track.theta))), "theta is not finite")
     require(not np.any(np.isnan(track.theta_std)), "theta_std is NaN")
 
@@ -141,9 +149,9 @@ def precisions_agree(case: Case) -> None:
         last(result_of(replace(case.configured, precision=precision), case.fine.u, case.fine.counts).theta)
         for precision in ("float64", "float32")
     )
-    size = np.maximum(np.abs(double), TUNING.contract_single * np.max(np.abs(double)))
+    size = np.maximum(np.abs(double), CONTRACT_SINGLE * np.max(np.abs(double)))
     require(
-        bool(np.all(np.abs(single - double) < TUNING.contract_single * size)),
+        bool(np.all(np.abs(single - double) < CONTRACT_SINGLE * size)),
         f"float32 finds {single}, float64 {double}",
     )
 
@@ -163,15 +171,15 @@ def the_kernels_own(case: Case) -> None:
 
 
 def _run_some(case: Case) -> OnLine:
-    """Return the estimator after `contract_before` samples."""
+    """Return the estimator after `CONTRACT_BEFORE` samples."""
     estimator = case.start_estimator()
-    estimator.run(case.fine.u[: TUNING.contract_before], case.fine.counts[: TUNING.contract_before])
+    estimator.run(case.fine.u[:CONTRACT_BEFORE], case.fine.counts[:CONTRACT_BEFORE])
     return estimator
 
 
 def _later(case: Case) -> tuple[Floats, Counts]:
-    """Return the samples that follow the first `contract_before`."""
-    part = slice(TUNING.contract_before, TUNING.contract_before + TUNING.contract_after)
+    """Return the samples that follow the first `CONTRACT_BEFORE`."""
+    part = slice(CONTRACT_BEFORE, CONTRACT_BEFORE + CONTRACT_AFTER)
     return case.fine.u[part], case.fine.counts[part]
 
 

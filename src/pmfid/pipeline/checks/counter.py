@@ -9,8 +9,16 @@ from numpy.typing import NDArray
 
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, Stop
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
+
+#: Limits for a column that changes only every k rows. `COUNTER_MOST` is the largest k, and `COUNTER_LEAST` is the
+#: smallest number of changes. `IN_STEP` is the smallest part of the changes in step with k, or of the steps of a
+#: column that are whole multiples. Among the rows that are multiples of k, at least the part `COUNTER_OFTEN` has a
+#: change.
+COUNTER_MOST = 50
+COUNTER_LEAST = 30
+IN_STEP = 0.98
+COUNTER_OFTEN = 0.3
 
 
 def period_of(changes: NDArray[np.intp]) -> int:
@@ -20,12 +28,12 @@ def period_of(changes: NDArray[np.intp]) -> int:
     with the probability k^(1 - m). A column with few changes may be in step by chance or by design. Therefore the
     function ignores a column of long steps.
     """
-    if changes.size < TUNING.counter_least:
+    if changes.size < COUNTER_LEAST:
         return 1
     rows = int(changes[-1] - changes[0]) + 1
-    for k in range(TUNING.counter_most, 1, -1):
+    for k in range(COUNTER_MOST, 1, -1):
         step = np.bincount(changes % k, minlength=k).max()
-        if step >= TUNING.in_step * changes.size and step >= TUNING.counter_often * rows / k:
+        if step >= IN_STEP * changes.size and step >= COUNTER_OFTEN * rows / k:
             return k
     return 1
 

@@ -7,12 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from pmfid.findings import Finding, Severity
-from pmfid.pipeline.checks.readings import is_exchanged
+from pmfid.pipeline.checks.readings import READINGS_UNSEEN, is_exchanged
 from pmfid.pipeline.checks.view import CheckedLog
+from pmfid.pipeline.guess.pairs import PAIRS_CLEAR
 from pmfid.pipeline.guess.relations import compare
 from pmfid.pipeline.guess.roles import evidence_of, is_commanded
-from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
+
+#: Smallest correlation of a command with the output that it sets.
+FORCE_ALIKE = 0.9
 
 
 def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
@@ -21,7 +24,7 @@ def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
     if not log.is_machine or log.view is None or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
         return
     left = log.view.unexplained * np.linalg.norm(log.view.z) / max(np.std(log.view.z) * log.view.z.size**0.5, 1e-300)
-    if not log.view.one_way and left > TUNING.readings_unseen and not is_exchanged(log):
+    if not log.view.one_way and left > READINGS_UNSEEN and not is_exchanged(log):
         yield Finding(
             "unsigned",
             f"the input column {log.axis.record.input!r} has no sign, but the axis reverses",
@@ -39,7 +42,7 @@ def find_command(log: CheckedLog) -> Iterator[Finding]:
     u, y = log.record.u, log.encoder.position(log.record.counts)
     if not log.is_machine or np.ptp(u) == 0 or np.ptp(y) == 0:
         return
-    if is_commanded(name) and float(np.corrcoef(u, y)[0, 1]) > TUNING.force_alike:
+    if is_commanded(name) and float(np.corrcoef(u, y)[0, 1]) > FORCE_ALIKE:
         sentence = f"the input column {name!r} is the set point of {output!r}, not a force"
         yield Finding("command", sentence, f"log torque or current, or use {name} - {output} as the input", "wrong")
     elif (gain := _measure_gain(log, u, y)) is not None:
@@ -57,7 +60,7 @@ def _measure_gain(log: CheckedLog, u: Floats, y: Floats) -> float | None:
 
     The name of a force, and a model with a force that depends on the position y (n,), explain a gain of 1.
     """
-    if log.place_matters or evidence_of(log.axis.record.input).lean("input") >= TUNING.pairs_clear:
+    if log.place_matters or evidence_of(log.axis.record.input).lean("input") >= PAIRS_CLEAR:
         return None
     moved = np.gradient(y) / log.record.dt if log.axis.record.output_kind == "velocity" else y
     likeness = compare(u[log.part], moved[log.part])

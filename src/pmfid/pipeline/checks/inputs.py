@@ -9,8 +9,18 @@ import numpy as np
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.counter import period_of
 from pmfid.pipeline.checks.view import CheckedLog
-from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
+
+#: Number of values below which an input consists of steps, and of the values next to a limit that it is compared
+#: with.
+INPUTS_LEVELS = 20
+#: Relative width of a level of a measured input, and largest part of the rows between the levels.
+ONE_LEVEL = 0.1
+ONE_LEVEL_ROWS = 0.02
+#: Smallest part of the record at a limit. `INPUTS_PILED` is the smallest ratio of rows at the limit to rows at one
+#: of the nearest values.
+AT_LIMIT = 0.005
+INPUTS_PILED = 5.0
 
 LARGER = "log the force or current with a larger range, or record a smaller motion"
 
@@ -67,18 +77,18 @@ def _list_levels(u: Floats) -> list[str]:
         return [f"±{values[-1]:.4g}"] if same else [f"{value:.4g}" for value in values]
     size = np.abs(u)
     level = float(np.median(size[2 * size > size.max()]))
-    others = (size > TUNING.one_level * level) & (np.abs(size - level) > TUNING.one_level * level)
-    return [] if np.mean(others) > TUNING.one_level_rows else [f"±{level:.4g}"]
+    others = (size > ONE_LEVEL * level) & (np.abs(size - level) > ONE_LEVEL * level)
+    return [] if np.mean(others) > ONE_LEVEL_ROWS else [f"±{level:.4g}"]
 
 
 def _varies(u: Floats) -> bool:
     """Return whether the input takes many values."""
-    return np.unique(u[:: max(1, u.size // 10_000)]).size > TUNING.inputs_levels
+    return np.unique(u[:: max(1, u.size // 10_000)]).size > INPUTS_LEVELS
 
 
 def _piles_up(u: Floats, limit: float) -> bool:
     """Return whether the input is at the limit far more often than at neighbouring values."""
     values, times = np.unique(u, return_counts=True)
-    neighbours = np.argsort(np.abs(values - limit))[1 : TUNING.inputs_levels + 1]
+    neighbours = np.argsort(np.abs(values - limit))[1 : INPUTS_LEVELS + 1]
     at_limit = int(times[values == limit][0])
-    return at_limit >= TUNING.at_limit * u.size and at_limit > TUNING.inputs_piled * float(np.mean(times[neighbours]))
+    return at_limit >= AT_LIMIT * u.size and at_limit > INPUTS_PILED * float(np.mean(times[neighbours]))

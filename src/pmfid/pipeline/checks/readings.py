@@ -14,6 +14,8 @@ from pmfid.models.drive import Drive
 from pmfid.pipeline.checks.view import (
     MASS,
     PLAIN,
+    READINGS_FEWEST,
+    VIEW_MOST_SAMPLES,
     VISCOUS,
     CheckedLog,
     View,
@@ -21,10 +23,26 @@ from pmfid.pipeline.checks.view import (
 )
 from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import finds_gain, set_any_gain
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.travel import integrate_velocity
 from pmfid.types import Counts, Floats
 from pmfid.units import OUTPUTS, column_unit
+
+#: Greatest part of the input that a reading leaves unexplained. `READINGS_BETTER` is the greatest ratio of the part
+#: that another reading leaves unexplained to the part that the given reading leaves.
+READINGS_FOLLOWS = 0.15
+READINGS_BETTER = 0.3
+#: Number of standard deviations above which a sign, or the mass of a reading, is certain. `READINGS_LIKELY` is the
+#: number above which a sign is likely.
+READINGS_CERTAIN = 4.5
+READINGS_LIKELY = 3.0
+#: Unexplained part above which a record says nothing about a sign.
+READINGS_UNSEEN = 0.5
+#: Smallest time in which a mass reaches its speed [samples].
+READINGS_SAMPLES = 1.5
+#: Smallest duration of the motion in a reading, in time constants of the filters.
+READINGS_LASTING = 10.0
+#: Smallest travel that shows gravity [rad]. A spring explains a shorter travel equally well.
+READINGS_TURNED = 1.0
 
 RATE = 'give [record] output_kind = "velocity"'
 
@@ -52,11 +70,11 @@ def is_turned_by_gravity(log: CheckedLog) -> bool:
     if not (log.is_machine and isinstance(model, Drive) and model.axis == "rotary" and model.gravity is False):
         return False
     counts = log.known.counts[log.part]
-    if np.ptp(counts) * log.encoder.resolution < TUNING.readings_turned:
+    if np.ptp(counts) * log.encoder.resolution < READINGS_TURNED:
         return False
     hanging = best_view(log.force[log.part], counts, log.encoder, log.record.dt, model=replace(PLAIN, gravity=True))
     left = _measure_rest(hanging)
-    better = left < min(TUNING.readings_follows, TUNING.readings_better * _measure_rest(log.closest_view))
+    better = left < min(READINGS_FOLLOWS, READINGS_BETTER * _measure_rest(log.closest_view))
     return hanging is not None and better and _is_one_body(hanging)
 
 
@@ -66,12 +84,12 @@ def _other_reading(log: CheckedLog) -> Finding | None:
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
     left = _measure_rest(view)
     velocity, exchanged = _measure_rest(_velocity(log)), _measure_rest(_view_exchanged(log))
-    if exchanged < min(TUNING.readings_follows, TUNING.readings_better * left, velocity):
+    if exchanged < min(READINGS_FOLLOWS, READINGS_BETTER * left, velocity):
         return _make_finding("exchanged", "input and output are exchanged", _exchange(log), exchanged)
     if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
     named = is_position(log.axis.record.output)
-    if velocity < min(TUNING.readings_follows, left * (TUNING.readings_better if heavy or named else 1.0)):
+    if velocity < min(READINGS_FOLLOWS, left * (READINGS_BETTER if heavy or named else 1.0)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity, not a position"
         return _make_finding("velocity", mistake, RATE, velocity)
     return None
@@ -79,7 +97,7 @@ def _other_reading(log: CheckedLog) -> Finding | None:
 
 def is_exchanged(log: CheckedLog) -> bool:
     """Return whether the motion explains the input if the two columns are exchanged."""
-    return log.is_machine and _measure_rest(_view_exchanged(log)) < TUNING.readings_follows
+    return log.is_machine and _measure_rest(_view_exchanged(log)) < READINGS_FOLLOWS
 
 
 def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
@@ -94,25 +112,20 @@ def is_turned(view: View) -> bool:
     """
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return (
-        view.unexplained < TUNING.readings_unseen
-        and min(mass, work) < -TUNING.readings_certain
-        and max(mass, work) < TUNING.readings_likely
+        view.unexplained < READINGS_UNSEEN and min(mass, work) < -READINGS_CERTAIN and max(mass, work) < READINGS_LIKELY
     )
 
 
 def _has_inertia(view: View, dt: float) -> bool:
-    """Return whether the mass needs more than readings_samples to reach its speed."""
+    """Return whether the mass needs more than `READINGS_SAMPLES` to reach its speed."""
     mass, viscous = abs(view.theta[MASS]), abs(view.theta[VISCOUS])
-    return (
-        abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.readings_certain
-        and mass > TUNING.readings_samples * dt * viscous
-    )
+    return abs(view.sure(np.eye(view.theta.size)[MASS])) > READINGS_CERTAIN and mass > READINGS_SAMPLES * dt * viscous
 
 
 def _is_one_body(view: View) -> bool:
     """Return whether mass and friction power have equal signs, if both are significant."""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return mass * work > 0 or abs(work) < TUNING.readings_likely
+    return mass * work > 0 or abs(work) < READINGS_LIKELY
 
 
 def _measure_rest(view: View | None) -> float:
@@ -137,8 +150,8 @@ def _velocity(log: CheckedLog) -> View | None:
 
 def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
     """Return the view of a reading, or None if the reading describes no machine."""
-    part = liveliest(counts, TUNING.view_most_samples)
-    view = best_view(force[part], counts[part], encoder, dt, lasting=TUNING.readings_lasting)
+    part = liveliest(counts, VIEW_MOST_SAMPLES)
+    view = best_view(force[part], counts[part], encoder, dt, lasting=READINGS_LASTING)
     return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
 
 
@@ -169,7 +182,7 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
         sentence = "the input is zero while the axis moves"
         yield Finding("little_motion", sentence, "record the input that drives the axis", "wrong")
         return
-    if travel < TUNING.readings_fewest and not is_exchanged(log):
+    if travel < READINGS_FEWEST and not is_exchanged(log):
         yield Finding(
             "little_motion",
             f"the axis moves by {travel} counts in all, so the encoder's steps hide the motion",

@@ -10,8 +10,20 @@ from pmfid.diagnostics.drives import counts_per_sample
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, hasty
 from pmfid.pipeline.guess.columns import step_of
-from pmfid.pipeline.tuning import TUNING
-from pmfid.records.tuning import TUNING as RECORD_TUNING
+from pmfid.records.clock import LONGEST_PLAIN_PERIOD, SHORTEST_PLAIN_PERIOD
+
+#: Relative change of the velocity from sample to sample above which the sample period is too long. `TIMING_FINE` is
+#: the number of counts per sample above which the encoder itself does not change the velocity by so much.
+TIMING_HASTY = 0.42
+TIMING_FINE = 3.0
+#: Time in which the velocity of a machine changes by its size [s]. A longer or a shorter time is doubted if the
+#: sample period is also beyond the periods of usual logs.
+TIMING_SLOWEST = 1.0
+TIMING_FASTEST = 1e-4
+#: Counts per sample below which most samples carry no information. `TIMING_PLENTY` is a sufficient number of counts
+#: per sample.
+TIMING_IDLE = 0.02
+TIMING_PLENTY = 0.2
 
 
 def too_slow(log: CheckedLog) -> Iterator[Finding]:
@@ -21,12 +33,12 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
     """
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
-    if moving.size < 2 or float(np.median(moving)) < TUNING.timing_fine:
+    if moving.size < 2 or float(np.median(moving)) < TIMING_FINE:
         return
-    if float(np.median(moving)) < TUNING.timing_fine * step_of(log.known.counts.astype(np.float64))[0]:
+    if float(np.median(moving)) < TIMING_FINE * step_of(log.known.counts.astype(np.float64))[0]:
         return
     jumps = hasty(change)
-    if not jumps > TUNING.timing_hasty:
+    if not jumps > TIMING_HASTY:
         return
     yield Finding(
         "rate_low",
@@ -39,8 +51,8 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
 def too_fast(log: CheckedLog) -> Iterator[Finding]:
     """Yield a finding if the count hardly ever changes within a sample period."""
     per_sample = counts_per_sample(log.known.counts)
-    if 0 < per_sample < TUNING.timing_idle:
-        keep = max(2, round(TUNING.timing_plenty / per_sample))
+    if 0 < per_sample < TIMING_IDLE:
+        keep = max(2, round(TIMING_PLENTY / per_sample))
         yield Finding(
             "rate_high",
             f"the axis moves {per_sample:.2g} counts per row, so nearly all rows repeat the last count",
@@ -58,8 +70,8 @@ def odd_period(log: CheckedLog) -> Iterator[Finding]:
         return
     hurry = hasty(np.diff(log.known.counts))
     per_row = counts_per_sample(log.known.counts)
-    slow = dt >= RECORD_TUNING.longest_plain_period and dt > TUNING.timing_slowest * hurry
-    fast = dt < RECORD_TUNING.shortest_plain_period and dt < TUNING.timing_fastest * hurry and per_row >= 1
+    slow = dt >= LONGEST_PLAIN_PERIOD and dt > TIMING_SLOWEST * hurry
+    fast = dt < SHORTEST_PLAIN_PERIOD and dt < TIMING_FASTEST * hurry and per_row >= 1
     if not (hurry > 0 and (slow or fast)):
         return
     yield Finding(

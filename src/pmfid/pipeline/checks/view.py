@@ -12,16 +12,36 @@ from numpy.typing import NDArray
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.drives import counts_per_sample
 from pmfid.encoder import Encoder
+from pmfid.estimators.cutoff import CUTOFF_TRIED
 from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.stretches import liveliest
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.models.drive import Drive
 from pmfid.pipeline.known import set_any_gain
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
+
+#: Smallest travel that shows a motion [counts].
+READINGS_FEWEST = 8
+#: Smallest duration of a record in time constants. After slow filters, any columns explain a short record.
+VIEW_ENOUGH = 60.0
+#: Smallest part of the travel in either direction if the motion has both directions.
+ONE_WAY = 0.05
+#: Spans that show the edges of a stop [samples]. `VIEW_COUNTS` is the smallest change of the motion at an abrupt
+#: edge [counts].
+VIEW_SPANS = (1, 2, 4, 8, 16, 32)
+VIEW_COUNTS = 6
+#: Smallest ratio of the change of the motion at an abrupt stop to the largest change elsewhere.
+VIEW_ABRUPT = 2.5
+#: Smallest number of samples in a stop, which is also the allowed delay of a motion, and smallest number of counts
+#: that the usual speed would bring during the stop.
+SHORTEST_STOP = 5
+VIEW_MISSED = 4.0
+#: Force that moves an axis from rest, as a multiple of the friction.
+VIEW_HELD = 2.2
+#: Largest number of filtered samples. The filters run over the samples with the most motion.
+VIEW_MOST_SAMPLES = 8000
 
 #: Number of pieces of a record for standard deviations, and smallest number of samples in a piece.
 PARTS, SHORTEST = 8, 20
@@ -96,7 +116,7 @@ class View:
         """Whether the axis moves nearly always in one direction, so that dry friction equals a load."""
         velocity = self.phi[:, VISCOUS]
         back = float(np.sum(np.abs(velocity[velocity < 0]))) / max(float(np.sum(np.abs(velocity))), 1e-300)
-        return min(back, 1 - back) < TUNING.one_way
+        return min(back, 1 - back) < ONE_WAY
 
     @property
     def moving(self) -> float:
@@ -126,7 +146,7 @@ def view(u: Floats, counts: Counts, encoder: Encoder, dt: float, time: float, mo
     record.
     """
     method = LS(model, replace(encoder, guard=False), dt, 1 / (time * dt))
-    if u.size < max(method.settle_samples + PARTS * SHORTEST, TUNING.view_enough * time):
+    if u.size < max(method.settle_samples + PARTS * SHORTEST, VIEW_ENOUGH * time):
         return None
     columns = method.columns(u, counts)
     return View(time, columns.phi, columns.z)
@@ -139,7 +159,7 @@ def best_view(
 
     The function considers only views whose motion lasts for more than `lasting` time constants.
     """
-    views = [view(u, counts, encoder, dt, time, model) for time in ESTIMATOR_TUNING.cutoff_tried]
+    views = [view(u, counts, encoder, dt, time, model) for time in CUTOFF_TRIED]
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
     return min(seen, key=lambda one: one.unexplained) if seen else None
@@ -157,7 +177,7 @@ def long_stops(counts: Counts) -> list[Stop]:
     moving: NDArray[np.intp] = np.flatnonzero(np.diff(counts))
     if moving.size < 2:
         return []
-    least = max(float(TUNING.shortest_stop), TUNING.view_missed / max(counts_per_sample(counts), 1e-9))
+    least = max(float(SHORTEST_STOP), VIEW_MISSED / max(counts_per_sample(counts), 1e-9))
     pairs = zip((moving + 1).tolist(), [*moving[1:].tolist(), counts.size - 1], strict=True)
     return [(first, last) for first, last in pairs if last - first >= least]
 
@@ -167,7 +187,7 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found, elsewhere = set[Stop](), 0.0
-    for span in TUNING.view_spans:
+    for span in VIEW_SPANS:
         if counts.size < 4 * span:
             break
         turn = np.zeros(counts.size)
@@ -184,7 +204,7 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
 
 def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
     """Return the stops at whose ends the change of the motion (n,) is far larger than elsewhere."""
-    limit = max(TUNING.view_abrupt * (elsewhere + 1), TUNING.view_counts)
+    limit = max(VIEW_ABRUPT * (elsewhere + 1), VIEW_COUNTS)
     begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
     # A counter that catches up jumps to its true value. After a jump of the counter, the larger edge of a stop says
     # more than the smaller edge.
@@ -208,7 +228,7 @@ def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: flo
     theta = solve_least_squares(view.phi[keep], view.z[keep])
     if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
         return set()
-    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > TUNING.readings_fewest * resolution}
+    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > READINGS_FEWEST * resolution}
 
 
 def _moves(force: Floats, theta: Floats, dt: float) -> float:
@@ -216,10 +236,10 @@ def _moves(force: Floats, theta: Floats, dt: float) -> float:
     load = theta[3] if theta.size > 3 else 0.0
     moved = 0.0
     for sign in (1.0, -1.0):
-        above = sign * (force - load) - TUNING.view_held * theta[COULOMB]
+        above = sign * (force - load) - VIEW_HELD * theta[COULOMB]
         breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
         for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
-            time = dt * max(0, last - first - TUNING.shortest_stop)
+            time = dt * max(0, last - first - SHORTEST_STOP)
             push = float(np.mean(above[first:last]))
             fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
             moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))
@@ -272,7 +292,7 @@ class CheckedLog:
     @cached_property
     def part(self) -> slice:
         """The range of samples that are filtered."""
-        return liveliest(self.known.counts, TUNING.view_most_samples)
+        return liveliest(self.known.counts, VIEW_MOST_SAMPLES)
 
     @cached_property
     def view(self) -> View | None:

@@ -14,17 +14,28 @@ from pmfid.errors import UsageError, did_you_mean
 from pmfid.findings import Finding
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
-from pmfid.pipeline.guess.columns import first_axis, numeric, rounding_of, step_of
+from pmfid.pipeline.guess.columns import COLUMNS_EXACT, COLUMNS_FINE, first_axis, numeric, rounding_of, step_of
 from pmfid.pipeline.guess.instants import Stamps, time_of
 from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair, judge
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.guess.verdicts import describe_doubt, explain_refusal
-from pmfid.pipeline.tuning import TUNING
-from pmfid.records.clock import UNITS, drop_repeats, even_grid, is_rounded, named_unit
+from pmfid.records.clock import (
+    LONGEST_PLAIN_PERIOD,
+    SHORTEST_PLAIN_PERIOD,
+    UNITS,
+    drop_repeats,
+    even_grid,
+    is_rounded,
+    named_unit,
+)
 from pmfid.records.outliers import wrap_of
-from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
+
+#: Most common sample period of an axis [s].
+AXIS_FILE_USUAL = 1e-3
+#: A step of an angle is a rounded part of a turn if the counts of a turn are this close to a whole number.
+WHOLE_TURN = 0.05
 
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
@@ -206,7 +217,7 @@ def _clock(stamps: Stamps | None, ask: Ask | None) -> GuessedClock:
     if stamps is None or stamps.may_be_numbers:
         answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
         untold = f"{TO_DO}write the sample period in s, because no column has the time"
-        return GuessedClock("", "", untold if answer is None else "as answered", answer or TUNING.axis_file_usual)
+        return GuessedClock("", "", untold if answer is None else "as answered", answer or AXIS_FILE_USUAL)
     name, values = stamps.name, stamps.values
     mean, grid = even_grid(values)
     steps = np.diff(values)
@@ -220,14 +231,10 @@ def _clock(stamps: Stamps | None, ask: Ask | None) -> GuessedClock:
     unit = named_unit(name)
     if stamps.written or unit:
         return GuessedClock(name, "", "", step * (1.0 if stamps.written else UNITS[unit or "s"]))
-    fitting = [
-        unit
-        for unit, length in UNITS.items()
-        if RECORD_TUNING.shortest_plain_period <= step * length <= RECORD_TUNING.longest_plain_period
-    ]
+    fitting = [unit for unit, length in UNITS.items() if SHORTEST_PLAIN_PERIOD <= step * length <= LONGEST_PLAIN_PERIOD]
     if "s" in fitting or not fitting:
         return GuessedClock(name, "", "", step)
-    unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / TUNING.axis_file_usual)))
+    unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / AXIS_FILE_USUAL)))
     reason = (
         f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units"
     )
@@ -250,8 +257,8 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
             result.add("encoder", f"range = {size!r}", f"it wraps, the first time at row {wrap.row}")
         return step.unit if isinstance(step, Quantity) else None
     step, found = step_of(output)
-    if pair.kind == "velocity" and found and abs(step / max(rounding_of(output), 1e-300) - 1) < TUNING.columns_exact:
-        step, found = float(np.ptp(output)) / TUNING.columns_fine, False  # the step is a digit of the log
+    if pair.kind == "velocity" and found and abs(step / max(rounding_of(output), 1e-300) - 1) < COLUMNS_EXACT:
+        step, found = float(np.ptp(output)) / COLUMNS_FINE, False  # the step is a digit of the log
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
     unit = column_unit(pair.output, OUTPUTS)
     if unit is None:
@@ -278,7 +285,7 @@ def _count_turn(step: float, unit: Unit | None) -> int | None:
         return None
     counts = 2 * np.pi / (step * unit.factor)
     whole = round(counts)
-    return whole if abs(counts - whole) < TUNING.whole_turn else None
+    return whole if abs(counts - whole) < WHOLE_TURN else None
 
 
 def _format_number(value: float, unit: Unit | None) -> str:

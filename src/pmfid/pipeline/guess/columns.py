@@ -8,10 +8,21 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
+from pmfid.pipeline.checks.counter import IN_STEP
 from pmfid.pipeline.guess.roles import role_of
-from pmfid.pipeline.tuning import TUNING
-from pmfid.records.tuning import TUNING as RECORD_TUNING
+from pmfid.records.clock import MIN_SAMPLES
+from pmfid.records.column_checks import RECORD_DISTINCT
 from pmfid.types import Flags, Floats
+
+#: Largest distance of a step from a multiple of another step.
+COLUMNS_EXACT = 0.02
+#: Largest rounding of a log relative to a step. With more rounding, any step would be possible.
+MOST_ROUNDED = 0.15
+#: Smallest part of the rows with a value, and the part below which a column belongs to one of several topics.
+COLUMNS_FILLED = 0.1
+COLUMNS_TOPIC = 0.7
+#: Number of steps in the range of a column without visible steps.
+COLUMNS_FINE = 2**20
 
 
 def is_whole(values: Floats) -> bool:
@@ -23,9 +34,9 @@ def step_of(values: Floats) -> tuple[float, bool]:
     """Return the smallest step that divides all other steps of finite values (n,), and whether such a step exists.
 
     Steps up to a billionth of the range are rounding, and a log may have rounded each value to a number of decimals.
-    Without a common step, the function returns the range divided by columns_fine.
+    Without a common step, the function returns the range divided by COLUMNS_FINE.
     """
-    found = np.unique(values[: RECORD_TUNING.record_distinct])
+    found = np.unique(values[:RECORD_DISTINCT])
     reach = float(np.ptp(found))
     if reach == 0:
         return 1.0, False
@@ -37,12 +48,12 @@ def step_of(values: Floats) -> tuple[float, bool]:
         near = (times > 0) & (times < most) & (np.abs(steps / step - times) < 0.25)
         step = float(np.sum(steps[near]) / np.sum(times[near]))
     off = np.abs(steps / step - np.rint(steps / step))
-    exact = steps / step < TUNING.columns_exact / 1e-6
+    exact = steps / step < COLUMNS_EXACT / 1e-6
     rounded = rounding_of(found) / step
-    allowed = max(TUNING.columns_exact, 1.01 * rounded if rounded < TUNING.most_rounded else 0.0)
-    if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.in_step and reach / step < TUNING.columns_fine:
+    allowed = max(COLUMNS_EXACT, 1.01 * rounded if rounded < MOST_ROUNDED else 0.0)
+    if found.size > 3 and np.mean(off[exact] < allowed) > IN_STEP and reach / step < COLUMNS_FINE:
         return _round_step(*_fit_step(found, step)), True
-    return max(reach / TUNING.columns_fine, _last_digit(found)), False
+    return max(reach / COLUMNS_FINE, _last_digit(found)), False
 
 
 def _last_digit(values: Floats) -> float:
@@ -96,7 +107,7 @@ def first_axis(table: Table, time: str) -> tuple[Table, str, str] | None:
     texts = [own for own in table.values() if isinstance(own, pl.Series) and own.dtype in (pl.String, pl.Categorical)]
     for axes in texts:
         rows = {name: own.filter(axes == axes[0]) for name, own in table.items() if isinstance(own, pl.Series)}
-        if len(rows[axes.name]) > RECORD_TUNING.min_samples and np.all(np.diff(times(rows, time)[0]) > 0):
+        if len(rows[axes.name]) > MIN_SAMPLES and np.all(np.diff(times(rows, time)[0]) > 0):
             return rows, axes.name, f"only the rows with {axes.name} = {axes[0]!r}, one of {axes.n_unique()} axes"
     return None
 
@@ -113,10 +124,10 @@ def numeric(table: Table) -> dict[str, Floats]:
         with suppress(UsageError):
             values = column(table, "column", name)
             good = np.isfinite(values)
-            if values.size > 10 and np.mean(good) > TUNING.columns_filled and np.ptp(values[good]) > 0:
+            if values.size > 10 and np.mean(good) > COLUMNS_FILLED and np.ptp(values[good]) > 0:
                 last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
                 found[name] = np.where(good[last], values[last], values[good][0])
-                if np.mean(good) < TUNING.columns_topic and role_of(name) in ("position", "counts"):
+                if np.mean(good) < COLUMNS_TOPIC and role_of(name) in ("position", "counts"):
                     rows = good
     return {
         name: values[rows] if rows is not None and values.size == rows.size else values

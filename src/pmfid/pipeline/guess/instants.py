@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, times
+from pmfid.pipeline.guess.pairs import PAIRS_CLEAR
 from pmfid.pipeline.guess.roles import evidence_of
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import is_rounded, named_unit
 from pmfid.types import Floats
+
+#: Smallest part of the steps of a time column that grow or are even.
+COLUMNS_MOSTLY = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ def rises(values: Floats) -> bool:
     The rows at the start of some loggers are equal, and a clock with few digits repeats stamps.
     """
     steps = np.diff(values)
-    grows = float(np.mean(steps > 0)) > TUNING.columns_mostly or is_rounded(values)
+    grows = float(np.mean(steps > 0)) > COLUMNS_MOSTLY or is_rounded(values)
     return grows and bool(np.all(steps >= 0))
 
 
@@ -86,9 +89,9 @@ def _value_weight(stamps: Stamps) -> float:
     steps = np.diff(stamps.values)
     if stamps.values.size <= 10 or not np.any(steps > 0):
         return -np.inf
-    if np.mean(steps >= 0) < TUNING.columns_mostly:
-        return -2 * TUNING.pairs_clear
-    usual = np.clip(steps, 0, np.quantile(steps, TUNING.columns_mostly))
+    if np.mean(steps >= 0) < COLUMNS_MOSTLY:
+        return -2 * PAIRS_CLEAR
+    usual = np.clip(steps, 0, np.quantile(steps, COLUMNS_MOSTLY))
     even = is_rounded(stamps.values) or float(np.mean(np.abs(steps - np.median(steps)) <= np.mean(usual) / 2))
-    grows, falls = np.mean(steps > 0) > TUNING.columns_mostly, np.any(steps < 0)
-    return TUNING.pairs_clear * (2 * even - 1 + float(grows) - float(falls)) - stamps.may_be_numbers
+    grows, falls = np.mean(steps > 0) > COLUMNS_MOSTLY, np.any(steps < 0)
+    return PAIRS_CLEAR * (2 * even - 1 + float(grows) - float(falls)) - stamps.may_be_numbers

@@ -10,16 +10,39 @@ import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.estimators.stretches import liveliest
-from pmfid.pipeline.checks.readings import is_turned
-from pmfid.pipeline.checks.view import MASS, PLAIN, View, best_view, solve_least_squares
+from pmfid.pipeline.checks.readings import READINGS_CERTAIN, READINGS_LIKELY, READINGS_TURNED, is_turned
+from pmfid.pipeline.checks.view import MASS, PLAIN, VIEW_MOST_SAMPLES, View, best_view, solve_least_squares
 from pmfid.pipeline.guess.columns import is_whole, step_of
-from pmfid.pipeline.guess.relations import Likeness, compare, is_rate, jumps
-from pmfid.pipeline.guess.roles import NameEvidence, Role, evidence_of, number_of, role_of
-from pmfid.pipeline.tuning import TUNING
+from pmfid.pipeline.guess.relations import RELATIONS_COPY, Likeness, compare, is_rate, jumps
+from pmfid.pipeline.guess.roles import PAIRS_CERTAIN, NameEvidence, Role, evidence_of, number_of, role_of
 from pmfid.records.outliers import wrap_of
 from pmfid.records.travel import integrate_velocity
 from pmfid.types import Floats
 from pmfid.units import OUTPUTS, Unit, column_unit
+
+#: Scores of a pair are logarithms of odds. `PAIRS_NOTHING` is the score of a log without an axis, and the weight
+#: from which on a name excludes other roles. A log without names needs a motion that explains two thirds of the
+#: input. `PAIRS_CLEAR` is the weight of a clear name, and `PAIRS_COMPUTED` the weight of a word for a filtered
+#: value, or half of the weight of a word for a command.
+PAIRS_NOTHING = 2.0
+PAIRS_CLEAR = 4.0
+PAIRS_COMPUTED = 1.0
+#: Weight of the logarithm of the unexplained part, which is at least `PAIRS_LEAST`. Unmodelled friction leaves more
+#: of the input unexplained than noise does, so that the power of the rows counts for no more than two rows.
+PAIRS_MOTION = 2.0
+PAIRS_LEAST = 0.02
+#: Weight of a relation that no input and output have.
+PAIRS_RELATION = 10.0
+#: Largest number of tried pairs of an input and an output.
+MOST_PAIRS = 36
+#: Smallest travel of a joint, relative to the largest travel of any joint.
+LEAST_TRAVEL = 0.05
+#: Greatest ratio of the part of the input that a pendulum leaves unexplained to the part that a plain drive leaves.
+#: A pendulum without gravity costs little, because its gravity is then estimated as zero.
+HANGING_BETTER = 0.8
+#: Largest travel of a pendulum whose angle has no unit [rad]. A column with a larger travel is not the angle of a
+#: pendulum.
+MOST_TURNED = 1000.0
 
 #: Roles of an output.
 MOTION: tuple[Role, ...] = ("counts", "position", "velocity")
@@ -61,7 +84,7 @@ class Judgement:
     @property
     def best(self) -> Pair | None:
         """The likeliest pair, or None if no pair is likelier than a log without an axis."""
-        return self.pairs[0] if self.pairs and self.pairs[0].score > TUNING.pairs_nothing else None
+        return self.pairs[0] if self.pairs and self.pairs[0].score > PAIRS_NOTHING else None
 
 
 def judge(
@@ -80,7 +103,7 @@ def judge(
     outputs = [name for name in outputs if chosen_output or _travels(name, outputs, columns)]
     pairs = [(u, y) for y in outputs for u in inputs if u != y and columns[u].size == columns[y].size]
     weights = {pair: _name_weight(*pair, chosen_input, chosen_output) for pair in pairs}
-    pairs = sorted(pairs, key=lambda pair: -weights[pair])[: TUNING.most_pairs]
+    pairs = sorted(pairs, key=lambda pair: -weights[pair])[:MOST_PAIRS]
     motions = list(dict.fromkeys(y for _, y in pairs))
     tried = [
         replace(pair, score=pair.score + weights[u, y] - _output_penalty(y, motions, columns))
@@ -101,7 +124,7 @@ def _weigh_rivals(tried: list[Pair], columns: Mapping[str, Floats]) -> tuple[flo
     if not tried:
         return 1.0, None
     rivals = [pair for pair in tried if not _other_joint(tried[0], pair)]
-    scores = np.array([TUNING.pairs_nothing, *(pair.score for pair in rivals)])
+    scores = np.array([PAIRS_NOTHING, *(pair.score for pair in rivals)])
     odds = np.exp(scores - scores.max())
     same = np.array([False, *(_is_copy(tried[0], pair, columns) for pair in rivals)])
     others = [pair for pair, copy in zip(rivals, same[1:], strict=True) if not copy]
@@ -116,7 +139,7 @@ def _other_joint(best: Pair, other: Pair) -> bool:
 
 def _is_copy(best: Pair, other: Pair, columns: Mapping[str, Floats]) -> bool:
     """Return whether two pairs have the same input and output, or copies of them, or the velocity of the output."""
-    if best.score - other.score > TUNING.pairs_certain:
+    if best.score - other.score > PAIRS_CERTAIN:
         return best is other
     driving = best.input == other.input or _compare(columns[best.input], columns[other.input]).alike
     moving = best.output == other.output or _compare(columns[best.output], columns[other.output]).alike
@@ -124,7 +147,7 @@ def _is_copy(best: Pair, other: Pair, columns: Mapping[str, Floats]) -> bool:
 
 
 def _compare(first: Floats, second: Floats) -> Likeness:
-    part = liveliest(second, TUNING.view_most_samples)
+    part = liveliest(second, VIEW_MOST_SAMPLES)
     return compare(first[part], second[part])
 
 
@@ -133,7 +156,7 @@ def _why_no_output(name: str) -> str:
     evidence = evidence_of(name)
     if evidence.commanded and evidence.role == "other":
         return "a set point"
-    clear = evidence.lean(*MOTION) <= -TUNING.pairs_nothing
+    clear = evidence.lean(*MOTION) <= -PAIRS_NOTHING
     return {"input": "an input", "other": "another quantity", "acceleration": "an acceleration"}.get(
         evidence.role if clear else "", ""
     )
@@ -142,7 +165,7 @@ def _why_no_output(name: str) -> str:
 def _may_drive(name: str) -> bool:
     """Return whether a column may be an input by its name."""
     evidence = evidence_of(name)
-    return evidence.role not in ("other", "acceleration", "time") or evidence.lean("input") > -TUNING.pairs_nothing
+    return evidence.role not in ("other", "acceleration", "time") or evidence.lean("input") > -PAIRS_NOTHING
 
 
 def _travels(name: str, outputs: list[str], columns: Mapping[str, Floats]) -> bool:
@@ -150,7 +173,7 @@ def _travels(name: str, outputs: list[str], columns: Mapping[str, Floats]) -> bo
     stem = re.sub(r"\d+", "", name) if role_of(name) else name
     alike = [other for other in outputs if role_of(other) and re.sub(r"\d+", "", other) == stem]
     most = max((float(np.ptp(columns[other])) for other in alike), default=0.0)
-    return float(np.ptp(columns[name])) > TUNING.least_travel * most
+    return float(np.ptp(columns[name])) > LEAST_TRAVEL * most
 
 
 def _name_weight(u: str, y: str, chosen_input: str | None, chosen_output: str | None) -> float:
@@ -158,15 +181,15 @@ def _name_weight(u: str, y: str, chosen_input: str | None, chosen_output: str | 
     driving, moving = evidence_of(u), evidence_of(y)
     weight = _bound(driving.lean("input") if u != chosen_input else np.inf)
     weight += _bound(moving.lean(*MOTION) if y != chosen_output else np.inf)
-    weight -= TUNING.pairs_computed * (driving.changed + moving.changed + 2 * driving.commanded)
+    weight -= PAIRS_COMPUTED * (driving.changed + moving.changed + 2 * driving.commanded)
     numbers = number_of(u), number_of(y)
     both_named = driving.role == "input" and moving.role in MOTION and all(numbers)
-    return weight - TUNING.pairs_relation * (both_named and numbers[0] != numbers[1])
+    return weight - PAIRS_RELATION * (both_named and numbers[0] != numbers[1])
 
 
 def _bound(lean: float) -> float:
     """Return a log-odds by a name within the limits of a clear name, because any name may be wrong."""
-    return float(np.clip(lean, -TUNING.pairs_clear, TUNING.pairs_clear))
+    return float(np.clip(lean, -PAIRS_CLEAR, PAIRS_CLEAR))
 
 
 def _output_penalty(y: str, motions: list[str], columns: Mapping[str, Floats]) -> float:
@@ -178,11 +201,11 @@ def _output_penalty(y: str, motions: list[str], columns: Mapping[str, Floats]) -
     joint = [name for name in others if role_of(y) == "velocity" and number_of(name) == number_of(y)]
     named = [name for name in joint if role_of(name) in ("counts", "position")]
     rates = (name in named or _is_rate(columns[y], columns[name]) for name in others if not jumps(columns[name]))
-    return TUNING.pairs_relation if (unnamed and jumps(columns[y])) or any(rates) else 0.0
+    return PAIRS_RELATION if (unnamed and jumps(columns[y])) or any(rates) else 0.0
 
 
 def _is_rate(rate: Floats, motion: Floats) -> bool:
-    part = liveliest(motion, TUNING.view_most_samples)
+    part = liveliest(motion, VIEW_MOST_SAMPLES)
     return is_rate(rate[part], motion[part])
 
 
@@ -191,7 +214,7 @@ def _relations(u: Floats, y: Floats, velocity: bool) -> str:
     likeness = _compare(u, y)
     if likeness.alike and abs(likeness.shift) <= 1:
         return f"both columns are one quantity, equal to {100 * likeness.left:.2g} %"
-    if float(np.std(u)) < TUNING.relations_copy * abs(float(np.mean(u))):
+    if float(np.std(u)) < RELATIONS_COPY * abs(float(np.mean(u))):
         return "the first column is nearly constant"
     if likeness.set_point:
         return f"the gain from one column to the other is {likeness.gain:.2f}, as from a set point"
@@ -217,7 +240,7 @@ def _try_pair(columns: Mapping[str, Floats], u: str, y: str, dt: float) -> Pair 
     left, gravity = _cost(view), False
     if kind != "velocity" and (hanging := _view_pendulum(columns[u], columns[y], unit, dt, view.unexplained)):
         left, gravity = hanging.unexplained if role in MOTION else _cost(hanging), True
-    load = view.shows_load(TUNING.hanging_better, TUNING.readings_likely) and not gravity
+    load = view.shows_load(HANGING_BETTER, READINGS_LIKELY) and not gravity
     kind = kind if kind == "velocity" else _whole(y, columns[y], kind)
     pair = Pair(u, y, kind, is_turned(view), max(0.0, 1 - left), gravity=gravity, load=load, against=against)
     return _weigh(pair, left)
@@ -225,8 +248,8 @@ def _try_pair(columns: Mapping[str, Floats], u: str, y: str, dt: float) -> Pair 
 
 def _weigh(pair: Pair, left: float) -> Pair:
     """Return a pair with the evidence of its motion, where `left` is the part of the input that is not explained."""
-    score = -TUNING.pairs_motion * float(np.log(max(left, TUNING.pairs_least)))
-    score -= TUNING.pairs_relation * bool(pair.against)
+    score = -PAIRS_MOTION * float(np.log(max(left, PAIRS_LEAST)))
+    score -= PAIRS_RELATION * bool(pair.against)
     return replace(pair, score=score)
 
 
@@ -235,7 +258,7 @@ def _pure_mass(view: View) -> str:
     column = view.phi[:, MASS : MASS + 1]
     rest = view.z - column @ solve_least_squares(column, view.z)
     left = float(np.linalg.norm(rest) / np.linalg.norm(view.z))
-    return "the first column is the acceleration of the second" if left < TUNING.relations_copy else ""
+    return "the first column is the acceleration of the second" if left < RELATIONS_COPY else ""
 
 
 def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> View | None:
@@ -248,13 +271,13 @@ def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: fl
     angle = y * (unit.factor if unit else 1.0)
     if is_whole(y) if unit is None else unit.of != "angle":
         return None
-    if not TUNING.readings_turned < np.ptp(angle) < TUNING.most_turned:
+    if not READINGS_TURNED < np.ptp(angle) < MOST_TURNED:
         return None
     encoder, counts = fine_counts(angle)
-    part = liveliest(counts, TUNING.view_most_samples)
+    part = liveliest(counts, VIEW_MOST_SAMPLES)
     forms = (replace(PLAIN, gravity=True), replace(PLAIN, spring=True))
     hanging, sprung = (best_view(u[part], counts[part], encoder, dt, model=form) for form in forms)
-    if hanging is None or hanging.unexplained > TUNING.hanging_better * plain:
+    if hanging is None or hanging.unexplained > HANGING_BETTER * plain:
         return None
     return hanging if sprung is None or hanging.unexplained < sprung.unexplained else None
 
@@ -263,7 +286,7 @@ def _kinds(evidence: NameEvidence, unit: Unit | None) -> tuple[str, ...]:
     """Return the possible kinds of an output, from a clear name or the unit in its name."""
     if evidence.role == "velocity":
         return ("velocity",)
-    clear = evidence.weights.get("position", 0.0) >= TUNING.pairs_clear
+    clear = evidence.weights.get("position", 0.0) >= PAIRS_CLEAR
     travel = evidence.role == "counts" or clear or (unit is not None and unit.of in ("length", "angle"))
     return ("position",) if travel else ("position", "velocity")
 
@@ -272,7 +295,7 @@ def _cost(view: View) -> float:
     """Return the unexplained part of a reading, or 1 without a significant mass. A velocity would always explain
     its own column.
     """
-    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > TUNING.readings_certain else 1.0
+    return view.unexplained if abs(view.sure(np.eye(view.theta.size)[MASS])) > READINGS_CERTAIN else 1.0
 
 
 def _whole(name: str, output: Floats, kind: str) -> str:
@@ -294,5 +317,5 @@ def _view(u: Floats, y: Floats, kind: str, dt: float) -> View | None:
         encoder, counts = Encoder(1.0), y.astype(np.int64)
     else:
         encoder, counts = fine_counts(y)
-    part = liveliest(counts, TUNING.view_most_samples)
+    part = liveliest(counts, VIEW_MOST_SAMPLES)
     return best_view(u[part], counts[part], encoder, dt)

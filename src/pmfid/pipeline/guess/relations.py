@@ -6,8 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
+
+#: Largest difference of two sensors of one quantity, relative to their standard deviation, and largest distance of
+#: the gain of a set point from 1. `RELATIONS_FOLLOWS` is the largest part of a set point that the output does not
+#: follow.
+RELATIONS_COPY = 0.05
+RELATIONS_FOLLOWS = 0.2
+#: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
+#: direction.
+COLUMNS_JUMP = 0.4
+FEW_JUMPS = 3
+#: Smallest correlation of a column with the change of the output above which the column is the velocity and no
+#: input.
+COLUMNS_SAME = 0.99
 
 
 @dataclass(frozen=True)
@@ -26,13 +38,13 @@ class Likeness:
     @property
     def alike(self) -> bool:
         """Whether one column is the other, except for a gain, a constant and a delay."""
-        return self.gain > 0 and self.left < TUNING.relations_copy
+        return self.gain > 0 and self.left < RELATIONS_COPY
 
     @property
     def set_point(self) -> bool:
         """Whether one column is the set point of the other: their gain is 1, with a delay and without an offset."""
-        near = abs(self.gain - 1) < TUNING.relations_copy and self.left < TUNING.relations_follows
-        return near and abs(self.offset) < TUNING.relations_follows
+        near = abs(self.gain - 1) < RELATIONS_COPY and self.left < RELATIONS_FOLLOWS
+        return near and abs(self.offset) < RELATIONS_FOLLOWS
 
 
 def compare(first: Floats, second: Floats) -> Likeness:
@@ -67,7 +79,7 @@ def is_rate(rate: Floats, motion: Floats) -> bool:
     change = np.gradient(motion)
     size = float(np.std(rate) * np.std(change))
     direct = float(np.mean((rate - rate.mean()) * (change - change.mean()))) / size if size > 0 else 0.0
-    return direct > TUNING.columns_same or likeness > float(np.sqrt(1 - TUNING.relations_copy**2))
+    return direct > COLUMNS_SAME or likeness > float(np.sqrt(1 - RELATIONS_COPY**2))
 
 
 def jumps(values: Floats) -> bool:
@@ -76,9 +88,9 @@ def jumps(values: Floats) -> bool:
     A mass cannot jump. A counter that wraps moves in the opposite direction before it jumps.
     """
     change = np.diff(values)
-    at = np.flatnonzero(np.abs(change) > TUNING.columns_jump * np.ptp(values))
+    at = np.flatnonzero(np.abs(change) > COLUMNS_JUMP * np.ptp(values))
     at = at[at > 0]
-    if min(np.sum(change[at] > 0), np.sum(change[at] < 0)) < TUNING.few_jumps:
+    if min(np.sum(change[at] > 0), np.sum(change[at] < 0)) < FEW_JUMPS:
         return False
     wraps = change[at - 1] * change[at] < 0
     return bool(np.mean(wraps) < 0.8)

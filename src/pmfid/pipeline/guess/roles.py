@@ -7,9 +7,13 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
 
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import named_unit
 from pmfid.units import INPUTS, OUTPUTS, column_unit
+
+#: Difference of scores beyond which another pair does not matter, and weight of a unit in a name.
+PAIRS_CERTAIN = 6.0
+#: Weight of a unit that may stand for any quantity, as a voltage or a ratio on an oscilloscope.
+ROLES_ANALOG = 1.5
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
@@ -132,14 +136,14 @@ def evidence_of(name: str) -> NameEvidence:
     if output is not None or driven is not None:
         measured: Role = "input" if output is None else _MEASURED[output.of]
         analog = driven is not None and driven.of in ("voltage", "ratio")
-        weights[measured] = max(weights.get(measured, 0.0), TUNING.roles_analog if analog else TUNING.pairs_certain)
+        weights[measured] = max(weights.get(measured, 0.0), ROLES_ANALOG if analog else PAIRS_CERTAIN)
     elif unit := named_unit(name):
         bare = name.strip()[-2:-1] in "_ ." and unit == "s"
         weights["time"] = weights.get("time", 0.0) + (1.0 if bare else 3.0)
     elif _COUNTED.match(inside):
         weights["counts"] = max(weights.get("counts", 0.0), 4.0)
     elif _FOREIGN.match(inside):
-        weights["other"] = TUNING.pairs_certain
+        weights["other"] = PAIRS_CERTAIN
     pair = re.fullmatch(r"[a-z]_d", name.strip().lower())
     commanded = bool(pair) and name.strip().lower()[0] in "qxyvw"
     commanded |= any(word in _COMMANDED.split() for word in words)

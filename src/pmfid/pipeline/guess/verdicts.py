@@ -7,10 +7,14 @@ from collections.abc import Mapping, Sequence
 
 from pmfid.findings import MOVE
 from pmfid.io.tables import Table, column
-from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair
+from pmfid.pipeline.guess.pairs import MOTION, PAIRS_NOTHING, Judgement, Pair
 from pmfid.pipeline.guess.roles import evidence_of
-from pmfid.pipeline.tuning import TUNING
+from pmfid.pipeline.stored import LONGEST_TEXT
 from pmfid.types import Floats
+
+#: Probability from which on a pair is written without a doubt, and smallest explained part.
+PAIRS_SURE = 0.9
+PAIRS_EXPLAINED = 0.3
 
 
 def describe_doubt(pair: Pair, judgement: Judgement) -> str:
@@ -18,12 +22,12 @@ def describe_doubt(pair: Pair, judgement: Judgement) -> str:
     doubts = []
     if pair.against:
         doubts.append(pair.against)
-    if pair.explained < TUNING.pairs_explained:
+    if pair.explained < PAIRS_EXPLAINED:
         doubts.append(f"the motion explains {100 * pair.explained:.3g} % of the input")
-    if judgement.likely < TUNING.pairs_sure:
+    if judgement.likely < PAIRS_SURE:
         doubts.append(f"the pair has a probability of {100 * judgement.likely:.0f} %")
     rival = judgement.rival
-    if doubts and rival is not None and rival.score > TUNING.pairs_nothing:
+    if doubts and rival is not None and rival.score > PAIRS_NOTHING:
         doubts.append(f"next: {_describe(rival)}, with {_options(rival)}")
     return "; ".join(doubts)
 
@@ -73,4 +77,4 @@ def _options(pair: Pair) -> str:
 
 def _shorten(parts: Sequence[str]) -> str:
     text = ", ".join(parts)
-    return text if len(text) <= TUNING.longest_text else f"{text[: TUNING.longest_text].rpartition(' ')[0]} ..."
+    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT].rpartition(' ')[0]} ..."

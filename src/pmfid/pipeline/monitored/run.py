@@ -11,11 +11,13 @@ from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import STATES, Change, Event, FleetRows, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import Record
 
 if TYPE_CHECKING:
     import polars as pl
+
+#: Largest number of outliers that are reported one by one.
+MOST_NOTICES = 10
 
 #: An event for JSON, with texts, numbers and tables by key.
 Notice = dict[str, Any]
@@ -26,7 +28,7 @@ class MonitoredRun:
     """A record of n samples under a monitor.
 
     `names` belong to the q reported parameters. `rows` has the estimates of one axis. `events` are as for JSON, in the
-    order of time, with the first `most_notices` outliers. `outliers` counts all samples that no motion explains.
+    order of time, with the first `MOST_NOTICES` outliers. `outliers` counts all samples that no motion explains.
     """
 
     record: Record
@@ -67,7 +69,7 @@ def watch(record: Record, monitor: Monitor | EdgeMonitor) -> MonitoredRun:
     events, outliers = _note_temperature(record, monitor), 0
     for *_, event in rows.events:
         outliers += isinstance(event, Outlier)
-        if outliers <= TUNING.most_notices or not isinstance(event, Outlier):
+        if outliers <= MOST_NOTICES or not isinstance(event, Outlier):
             events.append(event_object(event, monitor.names))
     return MonitoredRun(record, monitor.names, rows, tuple(sorted(events, key=lambda event: event["time"])), outliers)
 

@@ -28,10 +28,16 @@ from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.edges import learn_edges, make_edge_estimator, takes_edges
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.joining import make_even
 from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
+
+#: Memory [s] if [estimator] forgetting is 1, because an infinite memory would never follow a change.
+DEFAULT_MEMORY = 2.0
+#: Ratio of the standard deviations in normal work and in simulation above which the encoder is not the main noise.
+SETUP_NOISY = 1.3
+#: Factor within which a reference record should determine the mean time between false alarms.
+SETUP_SURE = 2.0
 
 #: Version of the calibration in saved states. Every change of it needs a new version.
 VERSION = 12
@@ -146,7 +152,7 @@ def _set_up_edges(axis: Axis, normal: Record | None, record: Record | None, raw:
         nominal = initial_vector(config.nominal or {}, estimator.names)
     else:
         nominal = learn_edges(axis, normal)
-    following = replace(estimator, memory=estimator.memory or TUNING.default_memory)
+    following = replace(estimator, memory=estimator.memory or DEFAULT_MEMORY)
     return Setup(EdgeMonitor(following, nominal, Watch(config.mtbf_hours, config.tolerance)), nominal)
 
 
@@ -177,18 +183,18 @@ def _set_up_counts(axis: Axis, normal: Record | None, record: Record | None, raw
 def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
     """Return notes on the thresholds if normal work is noisier than its simulation."""
     hours, notes = calibration.record_hours, []
-    if np.max(calibration.noise) > TUNING.setup_noisy or hours:
+    if np.max(calibration.noise) > SETUP_NOISY or hours:
         notes.append(
             f"normal work is {np.max(calibration.noise):.2g} times as noisy as the encoder explains: "
             + ("the thresholds come from" if hours else "the scale is that of")
             + " the reference record itself"
         )
     doubt = calibration.chance.doubt(mtbf_hours)
-    if hours and doubt > math.log(TUNING.setup_sure):
+    if hours and doubt > math.log(SETUP_SURE):
         notes.append(
             f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
-            f"{math.exp(doubt):.2g} only. A factor of {TUNING.setup_sure:g} takes about "
-            f"{hours * (doubt / math.log(TUNING.setup_sure)) ** 2:.2g} h: record more normal work, or "
+            f"{math.exp(doubt):.2g} only. A factor of {SETUP_SURE:g} takes about "
+            f"{hours * (doubt / math.log(SETUP_SURE)) ** 2:.2g} h: record more normal work, or "
             "lower mtbf_hours"
         )
     return notes
@@ -212,7 +218,7 @@ def _configure_recursive(axis: Axis, dt: float) -> Axis:
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     forgetting = axis.estimator.forgetting
     if forgetting == 1:
-        forgetting = max(0.5, 1 - dt / TUNING.default_memory)
+        forgetting = max(0.5, 1 - dt / DEFAULT_MEMORY)
     changed = axis.estimator.model_copy(update={"method": method, "forgetting": forgetting})
     return axis.model_copy(update={"estimator": changed})
 
