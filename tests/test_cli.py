@@ -148,12 +148,6 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
         assert "truncated or corrupt" in bad(record)
 
 
-def test_record_that_is_missing_or_a_folder_or_lacks_a_column(tmp_path: Path, cart: Cart) -> None:
-    assert "No such file or directory; give the path of a data file" in bad(tmp_path / "absent.csv")
-    assert "must contain one log, but this one contains none; give the path of a file" in bad(tmp_path)
-    assert "available are t, counts" in bad(written(tmp_path, cart.frame.drop("u")))
-
-
 # --- options that cannot be used --------------------------------------------------------------------------------------
 
 
@@ -164,7 +158,6 @@ def test_record_that_is_missing_or_a_folder_or_lacks_a_column(tmp_path: Path, ca
         (("--set", "encoder.resolution=0.01 parsec"), "'parsec' is not a known unit; use one of m, cm, mm"),
         (("--set", "estimator.cutoff=201"), "201 rad/s is too high for dt = 0.01 s"),
         (("--set", "estimator.cutoff=fast"), "[estimator] cutoff = 'fast' (given as an option)"),
-        (("--set", "estimator.cutof=1"), "did you mean 'cutoff'"),
         (("--set", "cutoff=1"), "is not SECTION.KEY=VALUE"),
     ],
 )

@@ -81,21 +81,12 @@ def test_the_table_shows_design_and_standard_inputs(folder: tuple[Path, str]) ->
     assert saved["criterion"] == "D"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("duration = 2.0", "duration = 0.5", "least time"),
-        ("input = 3.0", "input = 0.35", "input"),
-        ("input = 3.0", "input = 3.0\nvelocity = 0.1", "velocity"),
-        ("input = 3.0", "input = 3.0\nrms = 0.5", "rms"),
-    ],
-)
-def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path, old: str, new: str, message: str) -> None:
-    path = changed(tmp_path, (old, new))
+def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path) -> None:
+    path = changed(tmp_path, ("duration = 2.0", "duration = 0.5"))
     result = run_command("design", path, "--set", "experiment.unknown=['mass']", *FEW, code=3)
     assert result.stdout == ""
     assert "relax one of" in result.stderr
-    assert message in result.stderr
+    assert "least time" in result.stderr
     assert result.stderr.count("\n") == 1
     machine = run_command("design", path, "--set", "experiment.unknown=['mass']", *FEW, "--json", code=3)
     found = json.loads(machine.stdout)
@@ -148,8 +139,6 @@ def test_all_rounds_on_a_simulated_axis() -> None:
     ("arguments", "message"),
     [
         (["--set", "experiment.criterion=Q"], "criterion = 'Q' (given as an option)"),
-        (["--set", "experiment.unknown=['weight']"], "no parameter"),
-        (["--set", "search.starts=0"], "starts = 0"),
         (["--certify", "-1"], "certify"),
         (["--want", "mass"], "not NAME=NUMBER"),
         (["--want", "offset=1"], "offset is none of the unknown"),

@@ -123,7 +123,8 @@ def test_a_robust_design_keeps_the_limits_in_every_scenario() -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "name"), [({"velocity": 0.15}, "velocity"), ({"energy": 1.0}, "energy"), ({"jerk": 0.3}, "jerk")]
+    ("limits", "name"),
+    [({name: value}, name) for name, value in {"velocity": 0.15, "energy": 1.0, "jerk": 0.3, "rms": 0.5}.items()],
 )
 def test_the_limit_to_relax_is_named_with_what_it_needs(limits: dict[str, float], name: str) -> None:
     ways = {way.name: way for way in relaxations(case(**limits))}

@@ -72,9 +72,9 @@ def test_a_process_is_refused_with_the_remedy_for_the_log_of_a_machine(tmp_path:
 
 def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     case = case_of("Stribeck 20 %", 0)
-    counts = case.counts.astype(int).tolist()
+    u, counts = case.u[:1200].tolist(), case.counts[:1200].astype(int).tolist()
     counts[700] += 40_000
-    lines = [f"{u!r},{count}" for u, count in zip(case.u.tolist(), counts, strict=True)]
+    lines = [f"{value!r},{count}" for value, count in zip(u, counts, strict=True)]
     (tmp_path / "run.csv").write_text("\n".join(["u,counts", *lines]) + "\n")
     (tmp_path / "axis.toml").write_text(
         f'[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = {case.dt!r}\n'

@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 63680,
-    "lines of code in src": 37164,
+    "lines of src": 63687,
+    "lines of code in src": 37172,
     "lines of code in report and cli": 2899,
     "thresholds in src": 893,
     "lines of csrc": 8746,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
-    "lines of tests": 27681,
+    "lines of tests": 27648,
     "match= in tests": 24,
     "lines of studies": 8147,
 }

@@ -324,7 +324,7 @@ def search_terms(
     >>> import numpy as np
     >>> from pmfid import Drive, Encoder, quantize, search_terms
     >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
-    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1)) + 1.0
+    >>> u = prbs(500, clock=10, amplitude=4.0, rng=np.random.default_rng(1)) + 1.0
     >>> counts = quantize(simulate_drive(CART, u - 1.0, CART_DT).x, CART_RESOLUTION)
     >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
     >>> search_terms(u, counts, **settings).added

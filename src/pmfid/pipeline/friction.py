@@ -131,7 +131,7 @@ def friction_curve(u: ArrayLike, counts: ArrayLike, *, model: Drive, encoder: En
     >>> import numpy as np
     >>> from pmfid import Drive, Encoder, friction_curve, quantize
     >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
-    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> u = prbs(600, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
     >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
     >>> curve = friction_curve(u, counts, model=Drive(CART.input_gain), encoder=Encoder(CART_RESOLUTION), dt=CART_DT)
     >>> round(curve.mass, 3), CART.mass

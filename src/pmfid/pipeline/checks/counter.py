@@ -9,15 +9,13 @@ from numpy.typing import NDArray
 
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, Stop
+from pmfid.pipeline.guess.columns import IN_STEP
 from pmfid.records.outliers import wrap_of
 
 #: Limits for a column that changes only every k rows. `COUNTER_MOST` is the largest k, and `COUNTER_LEAST` is the
-#: smallest number of changes. `IN_STEP` is the smallest part of the changes in step with k, or of the steps of a
-#: column that are whole multiples. Among the rows that are multiples of k, at least the part `COUNTER_OFTEN` has a
-#: change.
+#: smallest number of changes. Among the rows that are multiples of k, at least the part `COUNTER_OFTEN` has a change.
 COUNTER_MOST = 50
 COUNTER_LEAST = 30
-IN_STEP = 0.98
 COUNTER_OFTEN = 0.3
 
 

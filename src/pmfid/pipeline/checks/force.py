@@ -9,9 +9,8 @@ import numpy as np
 from pmfid.findings import Finding, Severity
 from pmfid.pipeline.checks.readings import READINGS_UNSEEN, is_exchanged
 from pmfid.pipeline.checks.view import CheckedLog
-from pmfid.pipeline.guess.pairs import PAIRS_CLEAR
 from pmfid.pipeline.guess.relations import compare
-from pmfid.pipeline.guess.roles import evidence_of, is_commanded
+from pmfid.pipeline.guess.roles import PAIRS_CLEAR, evidence_of, is_commanded
 from pmfid.types import Floats
 
 #: Smallest correlation of a command with the output that it sets.

@@ -8,13 +8,14 @@ import numpy as np
 
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
-from pmfid.pipeline.checks.counter import IN_STEP
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.records.clock import MIN_SAMPLES
 from pmfid.records.column_checks import RECORD_DISTINCT
 from pmfid.types import Flags, Floats
 
-#: Largest distance of a step from a multiple of another step.
+#: Smallest part of the steps of a column that are whole multiples, or of changes that are in step, and largest distance
+#: of a step from a multiple of another step.
+IN_STEP = 0.98
 COLUMNS_EXACT = 0.02
 #: Largest rounding of a log relative to a step. With more rounding, any step would be possible.
 MOST_ROUNDED = 0.15

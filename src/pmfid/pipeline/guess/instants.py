@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, times
-from pmfid.pipeline.guess.pairs import PAIRS_CLEAR
-from pmfid.pipeline.guess.roles import evidence_of
+from pmfid.pipeline.guess.roles import PAIRS_CLEAR, evidence_of
 from pmfid.records.clock import is_rounded, named_unit
 from pmfid.types import Floats
 

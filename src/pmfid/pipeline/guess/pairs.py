@@ -14,19 +14,22 @@ from pmfid.pipeline.checks.readings import READINGS_CERTAIN, READINGS_LIKELY, RE
 from pmfid.pipeline.checks.view import MASS, PLAIN, VIEW_MOST_SAMPLES, View, best_view, solve_least_squares
 from pmfid.pipeline.guess.columns import is_whole, step_of
 from pmfid.pipeline.guess.relations import RELATIONS_COPY, Likeness, compare, is_rate, jumps
-from pmfid.pipeline.guess.roles import PAIRS_CERTAIN, NameEvidence, Role, evidence_of, number_of, role_of
+from pmfid.pipeline.guess.roles import (
+    PAIRS_CERTAIN,
+    PAIRS_CLEAR,
+    PAIRS_COMPUTED,
+    PAIRS_NOTHING,
+    NameEvidence,
+    Role,
+    evidence_of,
+    number_of,
+    role_of,
+)
 from pmfid.records.outliers import wrap_of
 from pmfid.records.travel import integrate_velocity
 from pmfid.types import Floats
 from pmfid.units import OUTPUTS, Unit, column_unit
 
-#: Scores of a pair are logarithms of odds. `PAIRS_NOTHING` is the score of a log without an axis, and the weight
-#: from which on a name excludes other roles. A log without names needs a motion that explains two thirds of the
-#: input. `PAIRS_CLEAR` is the weight of a clear name, and `PAIRS_COMPUTED` the weight of a word for a filtered
-#: value, or half of the weight of a word for a command.
-PAIRS_NOTHING = 2.0
-PAIRS_CLEAR = 4.0
-PAIRS_COMPUTED = 1.0
 #: Weight of the logarithm of the unexplained part, which is at least `PAIRS_LEAST`. Unmodelled friction leaves more
 #: of the input unexplained than noise does, so that the power of the rows counts for no more than two rows.
 PAIRS_MOTION = 2.0

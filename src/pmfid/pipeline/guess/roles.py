@@ -10,6 +10,13 @@ from typing import Literal
 from pmfid.records.clock import named_unit
 from pmfid.units import INPUTS, OUTPUTS, column_unit
 
+#: Scores of a pair are logarithms of odds. `PAIRS_NOTHING` is the score of a log without an axis, and the weight
+#: from which on a name excludes other roles. A log without names needs a motion that explains two thirds of the
+#: input. `PAIRS_CLEAR` is the weight of a clear name, and `PAIRS_COMPUTED` the weight of a word for a filtered
+#: value, or half of the weight of a word for a command.
+PAIRS_NOTHING = 2.0
+PAIRS_CLEAR = 4.0
+PAIRS_COMPUTED = 1.0
 #: Difference of scores beyond which another pair does not matter, and weight of a unit in a name.
 PAIRS_CERTAIN = 6.0
 #: Weight of a unit that may stand for any quantity, as a voltage or a ratio on an oscilloscope.

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from pmfid.findings import MOVE
 from pmfid.io.tables import Table, column
-from pmfid.pipeline.guess.pairs import MOTION, PAIRS_NOTHING, Judgement, Pair
-from pmfid.pipeline.guess.roles import evidence_of
+from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair
+from pmfid.pipeline.guess.roles import PAIRS_NOTHING, evidence_of
 from pmfid.pipeline.stored import LONGEST_TEXT
 from pmfid.types import Floats
 
