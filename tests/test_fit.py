@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.stats import truncnorm
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -38,6 +39,7 @@ FORCES = {
     "spring": (KINDS["spring"], 0, False, NO_TABLE, 0.0, 0.0, False),
     "power": (KINDS["power"], 0, False, NO_TABLE, 1.5, 0.5, False),
     "stribeck": (KINDS["stribeck"], 0, True, NO_TABLE, 0.2, 0.0, False),
+    "smooth": (KINDS["smooth"], 0, True, NO_TABLE, 0.2, 0.0, False),
     "wave": (KINDS["wave"], 0, False, NO_TABLE, 0.1, 0.3, False),
     "column": (KINDS["column"], 0, False, NO_TABLE, 0.0, 0.0, False),
     "bend": (KINDS["bend"], 0, False, NO_TABLE, 0.05, 0.3, False),
@@ -60,7 +62,7 @@ def test_the_derivatives_are_those_of_the_motion(names: list[str], lag: float) -
     """Through stops, reversals, a delay inside a sample and friction that differs by direction."""
     theta = np.r_[LATE, np.full(len(names), 0.2)]
     theta[BASE - 3] = lag
-    theta = np.append(theta, [0.2] * (names == ["stribeck"]))
+    theta = np.append(theta, [0.2] * (names in (["stribeck"], ["smooth"])))
     _, S = simulate(theta, names)
     for k in range(theta.size):
         if k == BASE - 3 and lag == 0:
@@ -212,6 +214,23 @@ def test_a_force_that_the_model_lacks_is_named(kind: str, word: str) -> None:
     fitted = examine(case)
     assert any(word in one.words for one in fitted.problem.candidates)
     np.testing.assert_allclose(fitted.theta, list(case.truth.values()), rtol=0.01)
+
+
+def test_friction_that_rises_smoothly_from_rest_is_named_with_its_speed() -> None:
+    """An independent integrator with tanh(v / speed). Without the term, a second mass was named."""
+    mass, viscous, coulomb, speed, step = 2.0, 4.0, 6.0, 0.05, 0.002
+    u, state, y = 25.0 * RNG.choice([-1.0, 1.0], 40).repeat(40), np.zeros(2), []
+    for force in u:
+
+        def rates(_: float, state: Floats, force: float = float(force)) -> list[float]:
+            return [state[1], (force - viscous * state[1] - coulomb * np.tanh(state[1] / speed)) / mass]
+
+        y.append(state[0])
+        state = solve_ivp(rates, (0, step), state, rtol=1e-9, atol=1e-12).y[:, -1]
+    counts = np.floor(np.array(y) / 1e-5 + 0.4).astype(np.int64)
+    result = pmfid.identify(u, counts, model=pmfid.Drive(1.0), encoder=pmfid.Encoder(1e-5), dt=step)
+    np.testing.assert_allclose(result.theta, [mass, viscous, coulomb], rtol=1e-3)
+    assert any("smoothly from rest, with a speed of 0.05 m/s" in one.sentence for one in result.findings)
 
 
 def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:

@@ -37,6 +37,7 @@ enum { PMF_LOOP_GAIN, PMF_LOOP_LIMIT, PMF_LOOP_DELAY, PMF_LOOP_PARAMETERS };
 /* Kinds of forces h(x, v). Constants p and q belong to the kind; s is the direction of motion. */
 enum {
     PMF_FORCE_STRIBECK, /* s exp(-(v/p)^2) */
+    PMF_FORCE_SMOOTH, /* s (tanh(|v|/p) - 1), with which friction of the same size rises smoothly from rest */
     PMF_FORCE_POWER, /* s |v/q|^p */
     PMF_FORCE_WAVE, /* sin(2 pi x / p + q) */
     PMF_FORCE_RUB, /* s sin(2 pi x / p + q) */

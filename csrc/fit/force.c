@@ -31,6 +31,13 @@ pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s
         r.hv = -2 * z / p * w;
         r.hp = 2 * z * z / p * w;
         break;
+    case PMF_FORCE_SMOOTH:
+        z = fabs(v) / p;
+        w = exp(-2 * z);
+        r.h = -2 * s * w / (1 + w);
+        r.hv = 4 * w / ((1 + w) * (1 + w)) / p;
+        r.hp = -s * z * r.hv;
+        break;
     case PMF_FORCE_POWER:
         z = fabs(v) / f->q;
         if (p == 2) {

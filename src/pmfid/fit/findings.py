@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -58,22 +58,31 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
     worst = int(np.argmax(moved))
     matters = bool(moved[worst] > tolerance)
     seen = set()
-    for one, value in zip(fitted.problem.candidates, fitted.values, strict=True):
+    for k, one in fitted.problem.place_candidates():
         if one.late or one.words in seen:
             continue
         seen.add(one.words)
         if one.name == "warmth":
             yield Finding("temperature", f"{one.words}{_describe_size(fitted, one)}", severity="note")
             continue
-        shown = one.describe(value * one.sd)
+        size, *constants = fitted.solution.q[k : k + 1 + one.free]
+        shown = one.describe(size * one.sd)
         detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {shown.words}{_describe_size(fitted, one)}",
+            f"the record shows {shown.words}{_describe_speed(fitted, one, constants)}{_describe_size(fitted, one)}",
             shown.remedy,
             "doubt" if matters else "note",
             detail,
         )
+
+
+def _describe_speed(fitted: Fitted, one: ExtraForce, constants: Sequence[float]) -> str:
+    """Return the speed of a friction that depends on one, from the constant in units of its first value."""
+    if one.name not in ("stribeck", "smooth") or not constants:
+        return ""
+    unit = "rad/s" if fitted.problem.machine.turn > 0 else "m/s"
+    return f", with a speed of {constants[0] * one.constant:.3g} {unit}"
 
 
 def _describe_size(fitted: Fitted, one: ExtraForce) -> str:
@@ -137,7 +146,7 @@ def _unknown(fitted: Fitted, names: tuple[str, ...], positive: Flags) -> Iterato
             yield Finding(
                 "implausible", f"{name} is negative", "check sign and scale of the input and the encoder", "wrong"
             )
-        elif never_negative and half > abs(value):
+        elif never_negative and half > abs(value) / 2:
             yield Finding("uncertain", f"the error of {name} may exceed half its value", MOVE)
 
 

@@ -62,11 +62,6 @@ class Fitted:
         return replace(problem, parts=self.problem.parts).with_candidates(candidates)
 
     @property
-    def values(self) -> list[float]:
-        """Size of each candidate in standard deviations of its prior."""
-        return [float(self.solution.q[k]) for k in self.problem.places]
-
-    @property
     def left(self) -> float:
         """Part of the travel that the motion leaves unexplained, root mean square over root mean square."""
         travel = np.concatenate([one.y - np.mean(one.y) for one in self.problem.stretches]) / self.problem.resolution

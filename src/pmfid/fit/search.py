@@ -59,7 +59,8 @@ def candidates_of(machine: BodyModel, sizes: Sizes) -> list[ExtraForce]:
     kinds = {(force.kind, force.p if force.kind == "power" else 0.0) for force in machine.forces}
     rows = [one for row in TABLE for one in row(sizes)]
     if machine.elastic:
-        rows = [one.place_on_load() for one in rows if one.base != LAGGING and one.name != "spring"]
+        kept = [one for one in rows if one.base != LAGGING and one.name != "spring"]
+        rows = [placed for one in kept for placed in one.place_on_masses()]
     return [
         one
         for one in rows

@@ -77,7 +77,7 @@ class ExtraForce:
             tied = before is not None and before.free and before.words == self.words
             force = None if self.force is None else replace(self.force, free=True)
             return replace(self, free=not tied, tied=tied, force=force)
-        if self.force is None or self.force.kind not in ("stribeck", "load_stribeck"):
+        if self.force is None or self.force.kind not in ("stribeck", "smooth", "load_stribeck"):
             return self
         return replace(self, free=True, constant=self.force.p, force=replace(self.force, free=True))
 
@@ -100,11 +100,13 @@ class ExtraForce:
         words = f"an input that acts {-size:.3g} s before it is logged"
         return replace(self, words=words, remedy=f"shift the input's column earlier by {-size:.3g} s: the log is late")
 
-    def place_on_load(self) -> ExtraForce:
-        """Return the candidate for an elastic body, whose load gravity turns."""
-        if self.force is None or self.name != "gravity":
-            return self
-        return replace(self, force=replace(self.force, load=True))
+    def place_on_masses(self) -> list[ExtraForce]:
+        """Return the candidates for an elastic body, whose load gravity turns, and whose load may rub as the motor
+        does."""
+        if self.force is None or self.name not in ("gravity", "smooth"):
+            return [self]
+        loaded = replace(self, force=replace(self.force, load=True))
+        return [loaded] if self.name == "gravity" else [self, replace(loaded, words=f"{self.words} on the load")]
 
     def place_column(self, column: int) -> ExtraForce:
         """Return the candidate with the number of the column that it makes, if it makes one."""
@@ -169,6 +171,16 @@ def stribeck(s: Sizes) -> Iterator[ExtraForce]:
         force = BodyForce("stribeck", share * s.speed)
         remedy = 'set stribeck = "estimate"'
         yield ExtraForce("stribeck", "Stribeck friction", remedy, 0.4 * s.coulomb, force=force, lowest=0.0)
+
+
+TANH = "the parameters include this friction: simulate the axis with tanh(v / speed) in place of sign(v)"
+
+
+def smooth(s: Sizes) -> Iterator[ExtraForce]:
+    """Yield what friction in proportion to tanh(v / p) has less than Coulomb friction."""
+    for share in (0.003, 0.015, 0.07, 0.25):
+        force = BodyForce("smooth", share * s.speed)
+        yield ExtraForce("smooth", "friction that rises smoothly from rest", TANH, s.coulomb, force=force, lowest=0.0)
 
 
 def quadratic(s: Sizes) -> Iterator[ExtraForce]:
@@ -317,6 +329,7 @@ TABLE: tuple[Row, ...] = (
     dead_time,
     lag,
     stribeck,
+    smooth,
     quadratic,
     spring,
     gravity,
