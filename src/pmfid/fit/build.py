@@ -25,18 +25,6 @@ MOST_STEPS, WAVENUMBERS, TOGETHER, LIKELY_WAVES = 12, 500, 50, 5
 PIECES = 16
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseEnd:
-    """The end of a search with one kind of noise: log likelihood, mean square over pieces [counts^2], and the state."""
-
-    likelihood: float
-    square: float
-    kind: str
-    q: Floats
-    starts: Floats
-    noise: Gaussian
-
-
 def complete_readings(search: FitSearch) -> None:
     """Take sine and cosine of each error of the encoder that has one of them, because its phase needs both."""
     words = {search.table[i].words for i in search.chosen if search.table[i].reading is not None}
@@ -85,17 +73,15 @@ def settle_either(search: FitSearch) -> Sequence[str]:
     if len(search.wandering) == 1:
         settle(search, search.wandering)
         return search.wandering
-    at, ends = (search.q, search.starts, search.noise), []
+    before, ends = search.remember(), []
     for kind in search.wandering:
-        search.q, search.starts, search.noise = at
+        search.return_to(before)
         settle(search, (kind,))
-        likelihood = search.noise.evidence(errors_of(search))[0]
-        ends.append(NoiseEnd(likelihood, square_of_pieces(search), kind, search.q, search.starts, search.noise))
-    best, other = sorted(ends, key=lambda end: -end.likelihood)
-    if other.square * fdtri(PIECES, PIECES, 0.95) < best.square:
-        best = other
-    search.q, search.starts, search.noise = best.q, best.starts, best.noise
-    return (best.kind,) if search.noise.wanders else search.wandering
+        ends.append((search.noise.evidence(errors_of(search))[0], square_of_pieces(search), kind, search.remember()))
+    (_, square, *best), (_, other_square, *other) = sorted(ends, key=lambda end: -end[0])
+    kind, state = other if other_square * fdtri(PIECES, PIECES, 0.95) < square else best
+    search.return_to(state)
+    return (kind,) if search.noise.wanders else search.wandering
 
 
 def square_of_pieces(search: FitSearch) -> float:
