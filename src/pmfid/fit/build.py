@@ -78,8 +78,8 @@ def settle_either(search: FitSearch) -> Sequence[str]:
         search.return_to(before)
         settle(search, (kind,))
         ends.append((search.noise.evidence(errors_of(search))[0], square_of_pieces(search), kind, search.remember()))
-    (_, square, *best), (_, other_square, *other) = sorted(ends, key=lambda end: -end[0])
-    kind, state = other if other_square * fdtri(PIECES, PIECES, 0.95) < square else best
+    best, other = sorted(ends, key=lambda end: -end[0])
+    _, _, kind, state = other if other[1] * fdtri(PIECES, PIECES, 0.95) < best[1] else best
     search.return_to(state)
     return (kind,) if search.noise.wanders else search.wandering
 
