@@ -18,10 +18,9 @@ from pmfid.design.standard import StandardInput, standard_inputs
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.types import Floats
 
-#: Factor for "better". The expected deviations themselves are known to 10 % at best (`EXPECTED_MACHINES`).
+#: Factor for "better", and part of the claimed information that must survive stiction. The expected deviations
+#: themselves are known to 10 % at best (`EXPECTED_MACHINES`).
 APPRAISAL_SURELY = 0.95
-#: Part of the claimed information that must survive stiction. A smaller part gives a warning.
-APPRAISAL_SURVIVES = 0.95
 #: Parts of the nominal values for which information must survive. An axis may just stop, or just fail to stop.
 APPRAISAL_NEAR = (0.9999, 1.0, 1.0001)
 
@@ -251,7 +250,7 @@ def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Fl
 
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     careful = design.problem.limits.min_speed > 0
-    if worth.surviving >= APPRAISAL_SURVIVES and careful:
+    if worth.surviving >= APPRAISAL_SURELY and careful:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
     return [f"{part}; raise min_speed" if careful else f"{part}; set min_speed above 0"]

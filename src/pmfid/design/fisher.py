@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,18 +22,16 @@ POSITION, VELOCITY = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class Regime:
-    """The plant between two events, x' = A x + b u + g and y = c x, and its derivatives by p parameters.
+    """The plant between two events, x' = A x + b u + g, and its derivatives by p parameters.
 
-    `A` is (n, n), and `b`, `g` and `c` are (n,). The derivatives by the parameters are `A_slope` (p, n, n), `b_slope`
-    (p, n) and `g_slope` (p, n). `c` depends on no parameter. The matrix `entry` (n, n) multiplies the sensitivities of
-    the state where the regime begins. The matrix `entry` is the identity except for a rest, in which friction removes
-    every deviation of the velocity.
+    `A` is (n, n), and `b` and `g` are (n,). The derivatives by the parameters are `A_slope` (p, n, n), `b_slope` (p, n)
+    and `g_slope` (p, n). The matrix `entry` (n, n) multiplies the sensitivities of the state where the regime begins.
+    The matrix `entry` is the identity except for a rest, in which friction removes every deviation of the velocity.
     """
 
     A: Floats
     b: Floats
     g: Floats
-    c: Floats
     A_slope: Floats
     b_slope: Floats
     g_slope: Floats
@@ -76,13 +74,13 @@ def drive_regime(drive: Drive, nominal: Mapping[str, float], names: tuple[str, .
         slope[i, VELOCITY] = slopes.get(name, 0.0)
     field = np.array([[0.0, 1.0, 0.0, 0.0], force / mass])
     split = (field[:, :2], field[:, 2], field[:, 3])
-    return Regime(*split, np.array([1.0, 0.0]), slope[:, :, :2], slope[:, :, 2], slope[:, :, 3], np.eye(2))
+    return Regime(*split, slope[:, :, :2], slope[:, :, 2], slope[:, :, 3], np.eye(2))
 
 
 def _rest(size: int) -> Regime:
     none, many = np.zeros(2), np.zeros((size, 2))
     hold = np.diag([1.0, 0.0])
-    return Regime(np.zeros((2, 2)), none, none, np.array([1.0, 0.0]), np.zeros((size, 2, 2)), many, many, hold)
+    return Regime(np.zeros((2, 2)), none, none, np.zeros((size, 2, 2)), many, many, hold)
 
 
 def discretise(regime: Regime, dt: float) -> StateStep:
@@ -125,26 +123,38 @@ class Affine:
         return np.asarray(s @ s.T + self.prior)
 
 
+def propagate(start: Floats, steps: Sequence[tuple[Regime, StateStep]], parts: int = 1) -> Floats:
+    """Return states and sensitivities (K parts + 1, n(p+1), K+1) at the samples, from their values `start` (n(p+1),).
+
+    The last axis has the coefficients of the K inputs, and then the constant part. Each step holds for a part of an
+    interval.
+    """
+    K, n = len(steps), len(steps[0][0].b)
+    X = np.zeros((start.size, K + 1))
+    X[:, K] = start
+    found = [X]
+    for k, (regime, step) in enumerate(steps):
+        X = X.copy()
+        X[n:] = (regime.entry @ X[n:].reshape(-1, n, K + 1)).reshape(-1, K + 1)
+        for _ in range(parts):
+            X = step.A @ X
+            X[:, k] += step.b
+            X[:, K] += step.g
+            found.append(X)
+    return np.array(found)
+
+
 def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> Affine:
     """Return the affine maps of a problem.
 
     `parameters` maps names to the values of another case. Each other case has the scale of the nominal case.
     """
-    steps = _steps(problem, {**problem.nominal, **(parameters or {})}, problem.names, problem.samples_per_interval)
-    n, p, K = 2, len(problem.names), problem.intervals
-    X = np.zeros((n * (p + 1), K + 1))  # The columns belong to the input of each interval, the last column to 1.
-    X[:n, K] = problem.start
-    samples = []
-    for k, (regime, step) in enumerate(steps):
-        for i in range(1, p + 1):
-            X[n * i : n * (i + 1)] = regime.entry @ X[n * i : n * (i + 1)]
-        for _ in range(problem.samples_per_interval):
-            X = step.A @ X
-            X[:, k] += step.b
-            X[:, K] += step.g
-            samples.append(regime.c @ X[n:].reshape(p, n, K + 1))
+    parts, p, K = problem.samples_per_interval, len(problem.names), problem.intervals
+    steps = _steps(problem, {**problem.nominal, **(parameters or {})}, problem.names, parts)
+    nodes = propagate(np.append(problem.start, np.zeros(2 * p)), steps, parts)
     weight = problem.scale / np.sqrt(problem.variance)
-    S = (np.array(samples).swapaxes(0, 1) * weight[:, None, None]).reshape(-1, K + 1)
+    # the position and its derivatives stand at every second place
+    S = (nodes[1:, 2::2].swapaxes(0, 1) * weight[:, None, None]).reshape(-1, K + 1)
     prior = np.zeros((p, p)) if problem.prior is None else np.asarray(problem.prior)
     return Affine(
         np.ascontiguousarray(S[:, :K]), S[:, K].copy(), prior * np.outer(problem.scale, problem.scale), problem.scale
@@ -165,17 +175,9 @@ def node_states(problem: Problem, parameters: Mapping[str, float] | None = None)
 
     Position and velocity are matrix u + offset. `parameters` maps names to values other than the nominal ones.
     """
-    K = problem.intervals
-    X = np.zeros((2, K + 1))  # The columns belong to the input of each interval, the last column to 1.
-    X[:, K] = problem.start
-    nodes = [X]
-    for k, (_, step) in enumerate(_steps(problem, {**problem.nominal, **(parameters or {})}, (), 1)):
-        X = step.A @ X
-        X[:, k] += step.b
-        X[:, K] += step.g
-        nodes.append(X)
-    states = np.array(nodes).swapaxes(0, 1)
-    return states[..., :K], states[..., K]
+    steps = _steps(problem, {**problem.nominal, **(parameters or {})}, (), 1)
+    states = propagate(np.array(problem.start, float), steps).swapaxes(0, 1)
+    return states[..., :-1], states[..., -1]
 
 
 def motion(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> tuple[Floats, Floats]:

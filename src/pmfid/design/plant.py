@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from pmfid.design.ascent import ASCENT_TOLERANCE, Climber
-from pmfid.design.fisher import CRITERIA, Affine, Criterion
+from pmfid.design.fisher import CRITERIA, Affine, Criterion, Regime, discretise, propagate
 from pmfid.design.oracle import Oracle
 from pmfid.design.polytope import InputSet
 from pmfid.design.problem import InfeasibleError
@@ -123,16 +122,11 @@ class PlantProblem:
         """
         A, b, c, x0 = self.evaluate_plant(self.nominal)
         slopes = [self.differentiate_plant(name) for name in self.unknown]
-        n, p, K = len(b), len(slopes), self.intervals
-        field, drive = np.kron(np.eye(p + 1), A), np.concatenate([b, *(db for _, db, _, _ in slopes)])
-        for i, (dA, _, _, _) in enumerate(slopes, 1):
-            field[n * i : n * (i + 1), :n] = dA
-        step = expm(self.dt * np.block([[field, drive[:, None]], [np.zeros((1, n * (p + 1) + 1))]]))
-        nodes = np.zeros((K + 1, n * (p + 1), K + 1))
-        nodes[0, :, K] = np.concatenate([x0, *(dx0 for _, _, _, dx0 in slopes)])
-        for k in range(K):
-            nodes[k + 1] = step[:-1, :-1] @ nodes[k]
-            nodes[k + 1, :, k] += step[:-1, -1]
+        n, none = len(b), np.zeros((len(slopes), len(b)))
+        dA, db = (np.array([one[part] for one in slopes]) for part in (0, 1))
+        regime = Regime(A, b, np.zeros(n), dA, db, none, np.eye(n))
+        start = np.concatenate([x0, *(dx0 for _, _, _, dx0 in slopes)])
+        nodes = propagate(start, [(regime, discretise(regime, self.dt))] * self.intervals)
         outputs = [
             np.tensordot(c, nodes[1:, n * i : n * (i + 1)], (0, 1)) + np.tensordot(dc, nodes[1:, :n], (0, 1))
             for i, (_, _, dc, _) in enumerate(slopes, 1)

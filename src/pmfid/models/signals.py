@@ -44,16 +44,14 @@ class SignalFacts:
 
     `reads` names the signal for people. `derivatives` are the lowest and the highest derivative. A signal without
     derivatives is constant during a sampling interval. `measured` means that the signal comes from the measured output
-    and has the unit of the output. `of_motion` means that the signal depends on the direction of motion, or on whether
-    the plant moves. `one_way` means that the signal counts in one direction only. `keeps_sign` means that the signal
-    keeps its sign if input and output change theirs. `of_process` marks a signal of a linear process. `shaped` means
-    that the term of the signal has a shape.
+    and has the unit of the output. `one_way` means that the signal counts in one direction only. `keeps_sign` means
+    that the signal keeps its sign if input and output change theirs. `of_process` marks a signal of a linear process.
+    `shaped` means that the term of the signal has a shape.
     """
 
     reads: str
     derivatives: tuple[int, int] = (0, 0)
     measured: bool = False
-    of_motion: bool = False
     one_way: bool = False
     keeps_sign: bool = False
     of_process: bool = False
@@ -63,14 +61,14 @@ class SignalFacts:
 SIGNALS: dict[Signal, SignalFacts] = {
     "output": SignalFacts("x", (0, 2), measured=True),
     "input": SignalFacts("u"),
-    "direction": SignalFacts("sign(x')", of_motion=True),
-    "moving": SignalFacts("(while it moves)", of_motion=True, keeps_sign=True),
-    "forward": SignalFacts("(moving forward)", of_motion=True, one_way=True),
-    "backward": SignalFacts("(moving backward)", of_motion=True, one_way=True),
+    "direction": SignalFacts("sign(x')"),
+    "moving": SignalFacts("(while it moves)", keeps_sign=True),
+    "forward": SignalFacts("(moving forward)", one_way=True),
+    "backward": SignalFacts("(moving backward)", one_way=True),
     "forward_output": SignalFacts("(x forward)", (1, 1), measured=True, one_way=True),
     "backward_output": SignalFacts("(x backward)", (1, 1), measured=True, one_way=True),
-    "friction": SignalFacts("sign(x')", of_motion=True, shaped=True),
-    "place": SignalFacts("(while it moves)", of_motion=True, shaped=True),
+    "friction": SignalFacts("sign(x')", shaped=True),
+    "place": SignalFacts("(while it moves)", shaped=True),
     "process_output": SignalFacts("y", (0, 6), measured=True, of_process=True),
     "process_input": SignalFacts("u", (0, 6), of_process=True),
     "constant": SignalFacts("", keeps_sign=True, of_process=True),

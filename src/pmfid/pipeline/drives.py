@@ -19,7 +19,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, choose
 from pmfid.estimators.base import Estimator, Simulating
 from pmfid.estimators.batch import BatchEstimator, check_identifiable
-from pmfid.estimators.configuration import construct_estimator, like
+from pmfid.estimators.configuration import like
 from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known, Posterior
@@ -34,7 +34,7 @@ from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.fitted import identify_by_fit, make_fit, uses_fit
-from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
+from pmfid.pipeline.kinds import Kind, Progress, make_method, method_of
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
@@ -194,17 +194,10 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
 
 def _construct(axis: Axis, record: Record) -> Estimator:
     check_sampling(axis, record.dt)
-    model = axis.model.make()
-    first = "bcls" if model.equation.without_simulation else "fit" if model.equation.further else "iv"
+    equation = axis.model.make().equation
+    first = "bcls" if equation.without_simulation else "fit" if equation.further else "iv"
     cls = ESTIMATORS[method_of(axis, first)]
-    own = {
-        "model": model,
-        "encoder": axis.encoder.make_encoder(record.resolution),
-        "dt": record.dt,
-        "cutoff": axis.estimator.pole,
-        "steps": record.steps,
-    }
-    return construct_estimator(cls, own | settings(axis, cls))
+    return make_method(cls, axis, axis.encoder.make_encoder(record.resolution), record.dt, record.steps)
 
 
 def _check_known(result: DriveResult) -> None:

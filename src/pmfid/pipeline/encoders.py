@@ -21,7 +21,7 @@ from pmfid.fit.machine import Excitation
 from pmfid.fit.prediction import predict_fit
 from pmfid.fit.problem import ObservedStretch
 from pmfid.models.axes import ROTARY
-from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.drives import DRIVES_FOLLOWED, Drives
 from pmfid.pipeline.fitted import make_fit
 from pmfid.pipeline.kinds import Progress
 from pmfid.pipeline.known import check_numbers_known
@@ -41,8 +41,6 @@ ENCODERS_INCREMENTS = (16, 64, 256, 1024, 4096, 16384)
 #: Fewest steps in the travel of a linear axis, and decades of the steps.
 ENCODERS_LEAST_STEPS = 5.0
 ENCODERS_DECADES = 4
-#: Largest relative distance of the simulated from the recorded motion without a note.
-ENCODERS_MISSED = 0.3
 
 #: Travel per turn of a rotary axis [rad].
 TURN = 2 * np.pi
@@ -266,7 +264,7 @@ def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> It
             f"the record itself gives {parameter} only to {100 * own:.2g} %, limited by noise, unmodelled effects or "
             "its encoder; a longer or livelier motion helps, another encoder may not"
         )
-    if trial.missed > ENCODERS_MISSED:
+    if trial.missed > DRIVES_FOLLOWED:
         yield (
             f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of the travel, and the "
             "comparison uses the simulated motion"

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun
+from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.estimators.srivc import SRIVC
 from pmfid.findings import Finding
 from pmfid.io.tables import Table
@@ -105,14 +108,23 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return equation.names + further[0], equation.units + further[1]
 
 
-def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
-    """Return the options of [estimator] that a method supports, by name."""
+def make_method(
+    cls: type[Estimator], axis: Axis, encoder: Encoder, dt: float, steps: SampleSteps | None = None
+) -> Estimator:
+    """Return a method with the model and the options of a configuration, for samples every dt [s]."""
     config = axis.estimator
-    options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
-    options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
-    if issubclass(cls, RecursiveEstimator):
-        options |= {"forgetting": config.forgetting}
-    return options
+    made = cls(
+        axis.model.make(),
+        encoder,
+        dt,
+        config.pole,
+        order=config.order,
+        discretization=config.discretization,
+        prefilter_zeros=config.prefilter_zeros,
+        precision=config.precision,
+        steps=steps,
+    )
+    return replace(made, forgetting=config.forgetting) if isinstance(made, RecursiveEstimator) else made
 
 
 def method_of(axis: Axis, automatic: str) -> str:

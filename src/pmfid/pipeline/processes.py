@@ -17,7 +17,6 @@ from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
@@ -29,7 +28,7 @@ from pmfid.linear.order import DELAYS, ORDERS, UNSTABLE, OrderCandidate, Search,
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.guess.columns import step_of
-from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
+from pmfid.pipeline.kinds import Kind, Progress, make_method, method_of
 from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
 from pmfid.pipeline.stored import Stored
 from pmfid.records.record import experiment_of, read_experiment
@@ -110,7 +109,7 @@ def _make_simulator(experiment: Experiment, axis: Axis) -> SRIVC:
 
 def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:
     """Return the configured estimator for the sample period of the first record."""
-    model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
+    model, dt = axis.model.make(), experiments[0].period
     check_sampling(axis, dt)
     if any(abs(experiment.period / dt - 1) > SAME_PERIOD for experiment in experiments):
         raise UsageError(
@@ -120,10 +119,8 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     if method not in methods_for(model):
         raise UsageError(f"{method} does not suit a transfer function; use one of {', '.join(methods_for(model))}")
     cls = ESTIMATORS[method]
-    options = settings(axis, cls)
-    own = {"model": model, "encoder": Encoder(_resolution_of(experiments, axis)), "dt": dt, "cutoff": config.pole}
-    estimator = construct_estimator(cls, own | options)
-    if cls.instrumental and config.prefilter_zeros is None:
+    estimator = make_method(cls, axis, Encoder(_resolution_of(experiments, axis)), dt)
+    if cls.instrumental and axis.estimator.prefilter_zeros is None:
         encoder, counts = fine_counts(_plain(experiments, method).y)
         zeros = choose_prefilter_zeros(replace(estimator, encoder=encoder), experiments[0].u, counts)
         return replace(estimator, prefilter_zeros=zeros)

@@ -17,12 +17,11 @@ from pmfid.design.ranking import find_hidden
 from pmfid.design.rounds import Commissioning
 from pmfid.pipeline.designs import Comparison
 from pmfid.presentation import plain_dict
-from pmfid.report.figures import COLOURS, MAGENTA, Style, open_figure
+from pmfid.report.figures import COLOURS, MAGENTA, Style, _legend, _words, open_figure
 from pmfid.report.page import ResultPage, Section
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LINE_STYLES = ("-", "--", "-.", ":")
@@ -50,7 +49,9 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
             panels[0].stairs(u, problem.t, baseline=None, **look)
             panels[1].plot(problem.t, v, **look)
             panels[2].plot(problem.t, x, **look)
-        _finish(figure, panels[0], panels[-1])
+        panels[-1].set_xlabel("time [s]")
+        panels[-1].margins(x=0.01)
+        _legend(figure, panels)
     return figure
 
 
@@ -65,21 +66,6 @@ def _looks(names: Iterable[str]) -> list[tuple[str, Style]]:
         words = name.replace("_", " ")
         looks.append((name, {"color": colour, "ls": style, "lw": 1.3 if number else 4.0, "label": words}))
     return looks
-
-
-def _finish(figure: Figure, first: Axes, last: Axes) -> None:
-    last.set_xlabel("time [s]")
-    last.margins(x=0.01)
-    _legend(figure, first)
-
-
-def _legend(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=5)
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ").replace("coulomb", "Coulomb")
 
 
 Rows = tuple[list[str], list[list[str]]]

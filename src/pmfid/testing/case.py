@@ -37,12 +37,11 @@ from pmfid.types import Counts, Floats
 CASE_SAMPLES = 3000
 #: Changes of the random input in the shortest record.
 CASE_CHANGES = 250
-#: Duration of an input step in time constants of the filters, for a drive and a process.
+#: Duration of an input step in time constants of the filters, for a drive and a process. The first number is also the
+#: time constant of a drive.
 DRIVE_HOLD = 3.0
 PROCESS_HOLD = 0.8
-#: Time constant of a drive in those of the filters, friction and load as fractions of the force, and the ratio of
-#: backward to forward friction.
-DRIVE_TIME = 3.0
+#: Friction and load as fractions of the force, and the ratio of backward to forward friction.
 CASE_COULOMB = 0.15
 CASE_LOAD = 0.05
 CASE_BACKWARD = 1.3
@@ -60,7 +59,7 @@ CASE_RANGE = 100.0
 #: Counts in a sample, roughly. The encoder has no effect at `CASE_FINE` and a visible one at `CASE_COARSE`.
 CASE_FINE = 5000.0
 CASE_COARSE = 5.0
-#: Samples that are enough for every method.
+#: Samples that are enough for every method, and samples before a copy or a saved state.
 CASE_SHORT = 1000
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -138,7 +137,7 @@ def _drive(setting: RecordSetting, rng: np.random.Generator) -> ContractRecord:
     resolution, dt, force = setting.encoder.resolution, setting.dt, abs(equation.input_gain)
     u = _input(setting, DRIVE_HOLD, rng)
     viscous = force * dt / (setting.per_sample * resolution)  # the steady speed is per_sample counts in a sample
-    mass = viscous * DRIVE_TIME / cutoff
+    mass = viscous * DRIVE_HOLD / cutoff
     roles = np.zeros(len(equation.roles))
     roles[MASS], roles[OFFSET] = mass, CASE_LOAD * force
     roles[VISCOUS_FORWARD : VISCOUS_FORWARD + 2], roles[COULOMB_FORWARD : COULOMB_FORWARD + 2] = (

@@ -18,6 +18,7 @@ from pmfid.estimators.results import Fit
 from pmfid.status import Status
 from pmfid.testing import common
 from pmfid.testing.case import (
+    CASE_SHORT,
     COPIES,
     Case,
     ContractError,
@@ -33,8 +34,7 @@ from pmfid.testing.common import OTHER_DT
 from pmfid.types import Counts, Floats
 
 CONTRACT_SYMMETRIC = 1e-9
-#: Samples before and after a copy or a saved state.
-CONTRACT_BEFORE = 1000
+#: Samples after a copy or a saved state.
 CONTRACT_AFTER = 400
 #: Greatest relative difference between the two precisions.
 CONTRACT_SINGLE = 2e-3
@@ -92,14 +92,14 @@ def parts_are_the_whole(case: Case) -> None:
     """Check that a run in two parts has the bits of the whole run. The second part starts from a saved state."""
     u, counts = _later(case)
     whole = case.start_estimator().run(
-        case.fine.u[: CONTRACT_BEFORE + CONTRACT_AFTER],
-        case.fine.counts[: CONTRACT_BEFORE + CONTRACT_AFTER],
+        case.fine.u[: CASE_SHORT + CONTRACT_AFTER],
+        case.fine.counts[: CASE_SHORT + CONTRACT_AFTER],
     )
     resumed = case.start_estimator()
     resumed.set_state(_run_some(case).get_state())
     stepped = [resumed.step(float(value), int(count)).theta for value, count in zip(u, counts, strict=True)]
     require(
-        np.array_equal(np.array(stepped), whole.theta[CONTRACT_BEFORE:]),
+        np.array_equal(np.array(stepped), whole.theta[CASE_SHORT:]),
         "step from a saved state has other bits than run",
     )
     require(np.array_equal(resumed.estimate.theta, stepped[-1]), "estimate is not the one of the last step")
@@ -171,15 +171,15 @@ def the_kernels_own(case: Case) -> None:
 
 
 def _run_some(case: Case) -> OnLine:
-    """Return the estimator after `CONTRACT_BEFORE` samples."""
+    """Return the estimator after `CASE_SHORT` samples."""
     estimator = case.start_estimator()
-    estimator.run(case.fine.u[:CONTRACT_BEFORE], case.fine.counts[:CONTRACT_BEFORE])
+    estimator.run(case.fine.u[:CASE_SHORT], case.fine.counts[:CASE_SHORT])
     return estimator
 
 
 def _later(case: Case) -> tuple[Floats, Counts]:
-    """Return the samples that follow the first `CONTRACT_BEFORE`."""
-    part = slice(CONTRACT_BEFORE, CONTRACT_BEFORE + CONTRACT_AFTER)
+    """Return the samples that follow the first `CASE_SHORT`."""
+    part = slice(CASE_SHORT, CASE_SHORT + CONTRACT_AFTER)
     return case.fine.u[part], case.fine.counts[part]
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
+from pmfid.estimators.known import CONTRADICTED
 from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
 from pmfid.models.drive import Drive
@@ -31,10 +32,8 @@ from pmfid.units import OUTPUTS, column_unit
 #: that another reading leaves unexplained to the part that the given reading leaves.
 READINGS_FOLLOWS = 0.15
 READINGS_BETTER = 0.3
-#: Number of standard deviations above which a sign, or the mass of a reading, is certain. `READINGS_LIKELY` is the
-#: number above which a sign is likely.
+#: Number of standard deviations above which a sign, or the mass of a reading, is certain.
 READINGS_CERTAIN = 4.5
-READINGS_LIKELY = 3.0
 #: Unexplained part above which a record says nothing about a sign.
 READINGS_UNSEEN = 0.5
 #: Smallest time in which a mass reaches its speed [samples].
@@ -111,9 +110,7 @@ def is_turned(view: View) -> bool:
     The record must determine both signs, and neither sign may be the proper one.
     """
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return (
-        view.unexplained < READINGS_UNSEEN and min(mass, work) < -READINGS_CERTAIN and max(mass, work) < READINGS_LIKELY
-    )
+    return view.unexplained < READINGS_UNSEEN and min(mass, work) < -READINGS_CERTAIN and max(mass, work) < CONTRADICTED
 
 
 def _has_inertia(view: View, dt: float) -> bool:
@@ -125,7 +122,7 @@ def _has_inertia(view: View, dt: float) -> bool:
 def _is_one_body(view: View) -> bool:
     """Return whether mass and friction power have equal signs, if both are significant."""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return mass * work > 0 or abs(work) < READINGS_LIKELY
+    return mass * work > 0 or abs(work) < CONTRADICTED
 
 
 def _measure_rest(view: View | None) -> float:

@@ -26,7 +26,8 @@ from pmfid.types import Counts, Floats
 READINGS_FEWEST = 8
 #: Smallest duration of a record in time constants. After slow filters, any columns explain a short record.
 VIEW_ENOUGH = 60.0
-#: Smallest part of the travel in either direction if the motion has both directions.
+#: Smallest part of the travel in either direction if the motion has both directions, and of the largest travel of any
+#: joint.
 ONE_WAY = 0.05
 #: Spans that show the edges of a stop [samples]. `VIEW_COUNTS` is the smallest change of the motion at an abrupt
 #: edge [counts].

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.encoder import Encoder, fine_counts
+from pmfid.estimators.known import CONTRADICTED
 from pmfid.estimators.stretches import liveliest
-from pmfid.pipeline.checks.readings import READINGS_CERTAIN, READINGS_LIKELY, READINGS_TURNED, is_turned
-from pmfid.pipeline.checks.view import MASS, PLAIN, VIEW_MOST_SAMPLES, View, best_view, solve_least_squares
+from pmfid.pipeline.checks.readings import READINGS_CERTAIN, READINGS_TURNED, is_turned
+from pmfid.pipeline.checks.view import MASS, ONE_WAY, PLAIN, VIEW_MOST_SAMPLES, View, best_view, solve_least_squares
 from pmfid.pipeline.guess.columns import is_whole, step_of
 from pmfid.pipeline.guess.relations import RELATIONS_COPY, Likeness, compare, is_rate, jumps
 from pmfid.pipeline.guess.roles import (
@@ -38,8 +39,6 @@ PAIRS_LEAST = 0.02
 PAIRS_RELATION = 10.0
 #: Largest number of tried pairs of an input and an output.
 MOST_PAIRS = 36
-#: Smallest travel of a joint, relative to the largest travel of any joint.
-LEAST_TRAVEL = 0.05
 #: Greatest ratio of the part of the input that a pendulum leaves unexplained to the part that a plain drive leaves.
 #: A pendulum without gravity costs little, because its gravity is then estimated as zero.
 HANGING_BETTER = 0.8
@@ -176,7 +175,7 @@ def _travels(name: str, outputs: list[str], columns: Mapping[str, Floats]) -> bo
     stem = re.sub(r"\d+", "", name) if role_of(name) else name
     alike = [other for other in outputs if role_of(other) and re.sub(r"\d+", "", other) == stem]
     most = max((float(np.ptp(columns[other])) for other in alike), default=0.0)
-    return float(np.ptp(columns[name])) > LEAST_TRAVEL * most
+    return float(np.ptp(columns[name])) > ONE_WAY * most
 
 
 def _name_weight(u: str, y: str, chosen_input: str | None, chosen_output: str | None) -> float:
@@ -243,7 +242,7 @@ def _try_pair(columns: Mapping[str, Floats], u: str, y: str, dt: float) -> Pair 
     left, gravity = _cost(view), False
     if kind != "velocity" and (hanging := _view_pendulum(columns[u], columns[y], unit, dt, view.unexplained)):
         left, gravity = hanging.unexplained if role in MOTION else _cost(hanging), True
-    load = view.shows_load(HANGING_BETTER, READINGS_LIKELY) and not gravity
+    load = view.shows_load(HANGING_BETTER, CONTRADICTED) and not gravity
     kind = kind if kind == "velocity" else _whole(y, columns[y], kind)
     pair = Pair(u, y, kind, is_turned(view), max(0.0, 1 - left), gravity=gravity, load=load, against=against)
     return _weigh(pair, left)
