@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 63691,
-    "lines of code in src": 37173,
-    "lines of code in report and cli": 2899,
-    "thresholds in src": 893,
+    "lines of src": 63666,
+    "lines of code in src": 37150,
+    "lines of code in report and cli": 2891,
+    "thresholds in src": 887,
     "lines of csrc": 8754,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
