@@ -214,7 +214,7 @@ service-faults: .venv/tools service-tools
 	mkdir -p results/images
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.faults --out results/service_faults.md
 
-KERNEL = $(wildcard csrc/*.[ch] csrc/edges/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch] csrc/fit/*.[ch] csrc/code/*.c csrc/*.inl csrc/edges/*.inl)
+KERNEL = $(wildcard csrc/*.[ch] csrc/edges/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch] csrc/fit/*.[ch] csrc/code/*.c csrc/*.inl csrc/edges/*.inl csrc/many/*.inl)
 
 check: .venv/tools
 	.venv/bin/ruff format --check .

@@ -12,7 +12,13 @@
 static const scalar_t SMOOTH = PMF_SCALAR(3.2); /* FIRST of pmf_outlier.c */
 static const scalar_t ROUNDING = PMF_SCALAR(2.0); /* second difference of counts in a steady motion */
 static const scalar_t SPIKE = PMF_SCALAR(8.0); /* ratio of an input to its neighbours, above which counts must answer */
+static const uint32_t LATER = PMF_PAST + PMF_AHEAD - 3U; /* as in pmf_outlier.c */
 static const uint32_t FAR = 0x20000000U; /* counts that are further apart are wrong in any case */
+
+static real_t larger(real_t a, real_t b)
+{
+    return PMF_IF(a > b, a, b);
+}
 
 /* Return the second difference with its middle at a place. */
 static real_t signed_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
@@ -34,8 +40,7 @@ static real_t roughness(const pmf_encoder_config_t *config, const pmf_guard_stat
     real_t most = PMF_ALIKE(ROUNDING);
     uint32_t place;
     for (place = first; place <= last; ++place) {
-        real_t size = bend(config, guard, place);
-        most = PMF_IF(size > most, size, most);
+        most = larger(bend(config, guard, place), most);
     }
     return most;
 }
@@ -55,13 +60,14 @@ static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state
     return size <= PMF_ALIKE((scalar_t)config->max_change);
 }
 
-/* Return the least second difference just after the judged count and its neighbour, without the part that rounding
- * explains, or 0 unless all of them have the sign of `sign`. */
-static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t sign)
+/* Return the least of the three second differences from a place on, without the part that rounding explains, or 0
+ * unless all of them have the sign of `sign`. */
+static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t first,
+                           real_t sign)
 {
-    real_t least = sign * signed_bend(config, guard, PMF_PAST + 2U);
+    real_t least = sign * signed_bend(config, guard, first);
     uint32_t place;
-    for (place = PMF_PAST + 3U; place <= PMF_PAST + 4U; ++place) {
+    for (place = first + 1U; place <= first + 2U; ++place) {
         real_t here = sign * signed_bend(config, guard, place);
         least = PMF_IF(here < least, here, least);
     }
@@ -70,7 +76,8 @@ static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_s
 
 /* Return whether the judged count continues the counts before it, or the motion around it is as smooth as the motion
  * before and after, or the acceleration around it lasts. Most counts continue a steady motion. A wrong count always
- * shows accelerations of both signs, of which only one can last. */
+ * shows accelerations of both signs, of which only one can last. Without enough counts before, a later acceleration
+ * that lasts is the one before and after. */
 static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
     real_t size = bend(config, guard, PMF_PAST - 1U), past, limit, up, down;
@@ -84,14 +91,16 @@ static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_sta
     if (PMF_ALL(plain)) {
         return plain;
     }
-    past = PMF_IF(whole, past, PMF_ALIKE(ROUNDING));
-    limit = roughness(config, guard, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
+    limit = roughness(config, guard, LATER, LATER + 2U);
     limit = beyond_rounding(PMF_IF(past < limit, past, limit));
-    limit = PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
-    up = lasting_bend(config, guard, PMF_R(1.0));
-    down = lasting_bend(config, guard, PMF_R(-1.0));
-    up = SMOOTH * PMF_IF(up > limit, up, limit);
-    down = SMOOTH * PMF_IF(down > limit, down, limit);
+    if (!PMF_ALL(whole)) {
+        up = lasting_bend(config, guard, LATER, PMF_R(1.0));
+        down = lasting_bend(config, guard, LATER, PMF_R(-1.0));
+        limit = PMF_IF(whole, limit, larger(up, down));
+    }
+    limit = larger(limit, PMF_R(1.0));
+    up = SMOOTH * larger(lasting_bend(config, guard, PMF_PAST + 2U, PMF_R(1.0)), limit);
+    down = SMOOTH * larger(lasting_bend(config, guard, PMF_PAST + 2U, PMF_R(-1.0)), limit);
     within = whole | PMF_NOT(whole);
     for (needed = 0U; needed <= 2U; ++needed) { /* accepted counts */
         real_t here = signed_bend(config, guard, PMF_PAST + 1U - needed);

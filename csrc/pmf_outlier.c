@@ -27,6 +27,8 @@ static const scalar_t FURTHER = PMF_SCALAR(1.5); /* above (m + 3) / (m + 2), the
 static const uint32_t MANY = 3U; /* most readings left out before a fast oscillation may look smooth */
 static const uint32_t CHOICES = 2048U; /* most choices of a search, which bound its time; a wrong count takes fewer */
 enum pmf_shift { SHIFT = 3 };
+static const scalar_t ALONE = PMF_SCALAR(7.2); /* FIRST * FURTHER * FURTHER, the demand on a shift alone */
+static const uint32_t LATER = PMF_PAST + PMF_AHEAD - 3U; /* first of the last accelerations of a view */
 static const uint32_t LATEST = 2U; /* most wrong readings before a shift */
 enum pmf_demands { DEMANDS = (int)LEFT_OUT + (int)SHIFT + 1 };
 static const scalar_t CLEAR =
@@ -375,13 +377,13 @@ PMF_SELDOM void continue_motion(const pmf_view_t *view, pmf_verdict_t *verdict)
     verdict->count = view->count[PMF_PAST - 1U] + rounded(time * speed(view, PMF_PAST - 2U, PMF_PAST - 1U));
 }
 
-/* Return the least acceleration just after the judged reading and its neighbour, at least `limit`, which it is unless
- * all of them have the sign of `sign`. */
-PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view, scalar_t sign, scalar_t limit)
+/* Return the least of the three accelerations from a place on, at least `limit`, which it is unless all of them have
+ * the sign of `sign`. */
+PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view, uint32_t first, scalar_t sign, scalar_t limit)
 {
     scalar_t least = ENDLESS;
     uint32_t i;
-    for (i = PMF_PAST + 2U; i <= PMF_PAST + 4U; ++i) {
+    for (i = first; i <= first + 2U; ++i) {
         scalar_t here = sign * signed_acceleration(view, i - 1U, i, i, i + 1U);
         least = here < least ? here : least;
     }
@@ -399,10 +401,15 @@ int pmf_is_smooth(const pmf_view_t *view)
     if (whole != 0U && acceleration(view, PMF_PAST - 2U, PMF_PAST - 1U, PMF_PAST - 1U, PMF_PAST) <= past) {
         return 1;
     }
-    limit = roughness(view, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
-    limit = past < limit ? past : limit;
-    up = FIRST * lasting_acceleration(view, PMF_SCALAR(1.0), limit);
-    down = FIRST * lasting_acceleration(view, PMF_SCALAR(-1.0), limit);
+    if (whole != 0U) {
+        limit = roughness(view, LATER, LATER + 2U);
+        limit = past < limit ? past : limit;
+    } else {
+        limit = lasting_acceleration(view, LATER, PMF_SCALAR(1.0), past);
+        limit = lasting_acceleration(view, LATER, PMF_SCALAR(-1.0), limit);
+    }
+    up = FIRST * lasting_acceleration(view, PMF_PAST + 2U, PMF_SCALAR(1.0), limit);
+    down = FIRST * lasting_acceleration(view, PMF_PAST + 2U, PMF_SCALAR(-1.0), limit);
     for (; i <= PMF_PAST + 1U; ++i) {
         scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
         if (here > up || -here > down) {
@@ -410,6 +417,35 @@ int pmf_is_smooth(const pmf_view_t *view)
         }
     }
     return 1;
+}
+
+/* Return whether one shift of the zero explains a view that is smooth otherwise. Only a shift at the judged reading is
+ * a verdict. */
+PMF_SELDOM int is_one_shift(const pmf_view_t *view, pmf_verdict_t *verdict)
+{
+    pmf_view_t other = *view;
+    uint32_t first, i, whole = view->past + view->readings == PMF_PAST + PMF_VIEW ? 1U : 0U;
+    for (first = PMF_PAST; whole != 0U && first < PMF_PAST + PMF_AHEAD; ++first) {
+        scalar_t slope = PMF_SCALAR(0.5) * (speed(view, first - 2U, first - 1U) + speed(view, first, first + 1U));
+        pmf_relative_t moves = rounded(slope * (view->time[first] - view->time[first - 1U]));
+        scalar_t size = PMF_SIZE(travel(view, first - 1U, first) - (scalar_t)moves);
+        scalar_t most = larger(view->step, acceleration(view, first - 2U, first - 1U, first, first + 1U));
+        for (i = 0; i < PMF_PAST + PMF_VIEW && size > ALONE * most; ++i) {
+            uint32_t zero = i < first ? first - 1U : first;
+            pmf_relative_t start = i < first ? 0 : moves, apart = view->count[i] - view->count[zero];
+            other.count[i] = PMF_SIZE((scalar_t)apart + (scalar_t)start) < MOST ? apart + start : 0;
+            most = i < 2U ? most : larger(most, acceleration(&other, i - 2U, i - 1U, i - 1U, i));
+            most = i > 0U && is_too_fast(&other, i - 1U, i) != 0 ? ENDLESS : most;
+        }
+        if (size > ALONE * most && pmf_is_smooth(&other) != 0) {
+            if (first == PMF_PAST) {
+                verdict->verdict = PMF_ZERO_MOVED;
+                verdict->count = verdict->end = view->count[first - 1U] + moves;
+            }
+            return 1;
+        }
+    }
+    return 0;
 }
 
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
@@ -422,7 +458,7 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     verdict->first = PMF_PAST;
     verdict->end = 0;
     verdict->unsure = 0U;
-    if (view->past + view->readings <= LEAST) {
+    if (view->past + view->readings <= LEAST || is_one_shift(view, verdict) != 0) {
         return;
     }
     other = *verdict;

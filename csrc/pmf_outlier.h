@@ -33,7 +33,7 @@ typedef struct {
 
 /* Return 1 if the reading at PMF_PAST needs no verdict: it continues the accepted counts, or the motion around it is as
  * smooth as the motion before and after, or the acceleration around it lasts. Otherwise, return 0. Among the first
- * counts, only the last of these three is proof. A wrong reading shows accelerations of both signs. */
+ * counts, only an acceleration that lasts is proof. A wrong reading shows accelerations of both signs. */
 int pmf_is_smooth(const pmf_view_t *view);
 /* Judge the reading at PMF_PAST. */
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict);

@@ -20,6 +20,7 @@
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"
 #include "../pmf_instrument.c"
+#include "pmf_rows.inl"
 
 enum { TILE = 32 }; /* number of samples that are moved into lanes at a time */
 
@@ -80,61 +81,6 @@ static void store(const pmf_layout_t *layout, uint32_t axes, const pmf_state_t *
     }
 }
 
-static void take_inputs(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint32_t samples, lane_real_t *target)
-{
-    const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    uint32_t k;
-    for (k = 0; k < samples; ++k, at += rows->sample) {
-        target[k * PMF_LANES] = rows->size == 4U ? (scalar_t) * (const float *)(const void *)at
-                                                 : (scalar_t) * (const double *)(const void *)at;
-    }
-}
-
-static void take_counts(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint32_t samples, lane_word_t *target)
-{
-    const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    uint32_t k;
-    for (k = 0; k < samples; ++k, at += rows->sample) {
-        target[k * PMF_LANES] =
-            rows->size == 4U ? *(const uint32_t *)(const void *)at : (uint32_t)*(const uint64_t *)(const void *)at;
-    }
-}
-
-static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, const pmf_many_t *many, uint32_t lane,
-                      uint64_t row)
-{
-    const pmf_estimate_t *estimate = &state->direct.estimate;
-    uint32_t p = pmf_parameters(config), i;
-    if (config->direct.constant != PMF_NO_PARAMETER) {
-        estimate = &state->lifted;
-    }
-    if (config->auxiliary.enabled != 0U) {
-        estimate = &state->output;
-    }
-    for (i = 0; i < p; ++i) {
-        many->theta[row * p + i] = (double)estimate->theta[i][lane];
-        many->variance_factor[row * p + i] = (double)estimate->variance_factor[i][lane];
-        many->inflation[row * p + i] = (double)estimate->inflation[i][lane];
-    }
-    many->innovation[row] = (double)estimate->innovation[lane];
-    many->innovation_variance[row] = (double)estimate->innovation_variance[lane];
-    many->status[row] = (uint32_t)state->status[lane];
-}
-
-/* Fetch the next tile during the computation, because the processor cannot predict the rows of different axes. The
- * function is inline, because gcc leaves out calls of a function that only fetches. */
-static inline __attribute__((always_inline)) void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample,
-                                                        uint64_t samples)
-{
-    uint64_t left = samples - sample < TILE ? samples - sample : TILE, at;
-    uint64_t bytes = rows->sample == (int64_t)rows->size ? left * rows->size : 1U;
-    const unsigned char *start = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    for (at = 0; at < bytes; at += 64U) {
-        __builtin_prefetch(start + at);
-    }
-    __builtin_prefetch(start + bytes - 1U);
-}
-
 /* Return the number of axes in the next group, or 0 if the remaining axes are faster one by one. */
 static uint32_t group_of(uint64_t left)
 {
@@ -152,18 +98,16 @@ static void run_group(const pmf_config_t *config, const pmf_layout_t *layout, co
         uint32_t samples = many->samples - sample < TILE ? (uint32_t)(many->samples - sample) : TILE;
         for (lane = 0; lane < PMF_LANES; ++lane) {
             uint64_t axis = first + axis_of(lane, axes);
-            take_inputs(&many->input, axis, sample, samples, (lane_real_t *)tile.input + lane);
-            take_counts(&many->counts, axis, sample, samples, (lane_word_t *)tile.count + lane);
-            if (sample + TILE < many->samples) {
-                fetch(&many->input, axis, sample + TILE, many->samples);
-                fetch(&many->counts, axis, sample + TILE, many->samples);
+            for (k = 0; k < samples; ++k) {
+                ((lane_real_t *)tile.input)[k * PMF_LANES + lane] = input_at(&many->input, axis, sample + k);
+                ((lane_word_t *)tile.count)[k * PMF_LANES + lane] = count_at(&many->counts, axis, sample + k);
             }
         }
         for (k = 0; k < samples; ++k) {
             (void)pmf_step(config, state, tile.input[k], tile.count[k]);
             if (--until == 0U || sample + k + 1U == many->samples) {
                 for (lane = 0; lane < axes; ++lane) {
-                    keep_lane(config, state, many, lane, row + lane * many->kept);
+                    keep(config, state, many, lane, row + lane * many->kept);
                 }
                 ++row;
                 until = many->every;

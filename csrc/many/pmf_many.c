@@ -2,6 +2,8 @@
 #include "pmf_many.h"
 #include "pmf_straight.h"
 
+#include "pmf_rows.inl"
+
 static const uint32_t FEW_SAMPLES = 8U; /* with fewer samples, the change into lanes and back costs too much */
 
 #if defined(__x86_64__) || defined(__i386__)
@@ -41,13 +43,6 @@ uint32_t pmf_many_way(void)
     return way;
 }
 
-/* Return null if the build or the processor does not have the way, or if the way is slower for the few samples. */
-static const pmf_lanes_t *lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples)
-{
-    const pmf_lanes_t *lanes = lanes_of(way);
-    return lanes != 0 && samples >= FEW_SAMPLES && layout->lane_words == lanes->words ? lanes : 0;
-}
-
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed)
 {
     const unsigned char *from = (const unsigned char *)state;
@@ -72,32 +67,6 @@ void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_sta
     for (; i < layout->words; ++i) {
         *(uint32_t *)(void *)(to + word[i].offset) = *(const uint32_t *)(const void *)(packed + word[i].packed);
     }
-}
-
-static real_t input_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
-{
-    const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    return rows->size == 4U ? (real_t) * (const float *)(const void *)at : (real_t) * (const double *)(const void *)at;
-}
-
-static uint32_t count_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)
-{
-    const unsigned char *at = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    return rows->size == 4U ? *(const uint32_t *)(const void *)at : (uint32_t)*(const uint64_t *)(const void *)at;
-}
-
-static void keep(const pmf_config_t *config, const pmf_state_t *state, const pmf_many_t *many, uint64_t row)
-{
-    const pmf_estimate_t *estimate = pmf_estimate(config, state);
-    uint32_t p = pmf_parameters(config), i;
-    for (i = 0; i < p; ++i) {
-        many->theta[row * p + i] = (double)estimate->theta[i];
-        many->variance_factor[row * p + i] = (double)estimate->variance_factor[i];
-        many->inflation[row * p + i] = (double)estimate->inflation[i];
-    }
-    many->innovation[row] = (double)estimate->innovation;
-    many->innovation_variance[row] = (double)estimate->innovation_variance;
-    many->status[row] = state->status;
 }
 
 static const pmf_straight_t *const STRAIGHT[PMF_METHODS] = {0, &pmf_straight_rls, &pmf_straight_bcrls,
@@ -131,7 +100,7 @@ static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_step
     for (sample = 0; sample < many->samples; ++sample) {
         (void)step(config, state, input_at(&many->input, axis, sample), count_at(&many->counts, axis, sample));
         if (--until == 0U || sample + 1U == many->samples) {
-            keep(config, state, many, row++);
+            keep(config, state, many, 0U, row++);
             until = many->every;
         }
     }
@@ -140,8 +109,10 @@ static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_step
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed)
 {
-    const pmf_lanes_t *lanes = lanes_for(many->way, layout, many->samples);
-    uint64_t axis = lanes != 0 ? lanes->run[pmf_method_of(config)](config, layout, many, first, end, packed) : first;
+    const pmf_lanes_t *lanes = many->samples >= FEW_SAMPLES ? lanes_of(many->way) : 0;
+    uint64_t axis = lanes != 0 && layout->lane_words == lanes->words
+                        ? lanes->run[pmf_method_of(config)](config, layout, many, first, end, packed)
+                        : first;
     pmf_stepper_t *step = pmf_fastest_step(config);
     pmf_state_t state;
     if (axis < end) { /* clearing a state takes as long as some samples */
