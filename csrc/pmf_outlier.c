@@ -311,7 +311,7 @@ PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best
     do { /* a large wrong count hides smaller ones, with a shift and without */
         cost = best->cost;
         with_shift = moved.cost;
-        if (best->most <= FIRST * view->step) { /* no path is cheap enough */
+        if (best->most <= FURTHER * view->step) { /* no path is cheap enough */
             break;
         }
         places |= suspects(view, best);
@@ -423,8 +423,9 @@ int pmf_is_smooth(const pmf_view_t *view)
  * a verdict. */
 PMF_SELDOM int is_one_shift(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
-    pmf_view_t other = *view;
+    pmf_view_t other;
     uint32_t first, i, whole = view->past + view->readings == PMF_PAST + PMF_VIEW ? 1U : 0U;
+    other = *view;
     for (first = PMF_PAST; whole != 0U && first < PMF_PAST + PMF_AHEAD; ++first) {
         scalar_t slope = PMF_SCALAR(0.5) * (speed(view, first - 2U, first - 1U) + speed(view, first, first + 1U));
         pmf_relative_t moves = rounded(slope * (view->time[first] - view->time[first - 1U]));
