@@ -82,7 +82,7 @@ static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_sta
 {
     real_t size = bend(config, guard, PMF_PAST - 1U), past, limit, up, down;
     truth_t whole = guard->past == PMF_PAST, plain = whole & (size <= ROUNDING), within;
-    uint32_t needed;
+    uint32_t place;
     if (PMF_ALL(plain)) {
         return plain;
     }
@@ -102,9 +102,9 @@ static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_sta
     up = SMOOTH * larger(lasting_bend(config, guard, PMF_PAST + 2U, PMF_R(1.0)), limit);
     down = SMOOTH * larger(lasting_bend(config, guard, PMF_PAST + 2U, PMF_R(-1.0)), limit);
     within = whole | PMF_NOT(whole);
-    for (needed = 0U; needed <= 2U; ++needed) { /* accepted counts */
-        real_t here = signed_bend(config, guard, PMF_PAST + 1U - needed);
-        truth_t absent = guard->past < needed, rises = beyond_rounding(here) <= up;
+    for (place = PMF_PAST - 1U; place <= PMF_PAST + 2U; ++place) {
+        real_t here = signed_bend(config, guard, place);
+        truth_t absent = guard->past + place <= PMF_PAST, rises = beyond_rounding(here) <= up;
         truth_t falls = beyond_rounding(-here) <= down;
         within = within & (absent | (rises & falls));
     }

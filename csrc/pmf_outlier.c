@@ -410,7 +410,7 @@ int pmf_is_smooth(const pmf_view_t *view)
     }
     up = FIRST * lasting_acceleration(view, PMF_PAST + 2U, PMF_SCALAR(1.0), limit);
     down = FIRST * lasting_acceleration(view, PMF_PAST + 2U, PMF_SCALAR(-1.0), limit);
-    for (; i <= PMF_PAST + 1U; ++i) {
+    for (; i <= PMF_PAST + 2U; ++i) {
         scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
         if (here > up || -here > down) {
             return 0;
@@ -453,7 +453,6 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
     pmf_verdict_t other;
     path_t best;
-    uint32_t doubtful;
     verdict->verdict = PMF_READING_FITS;
     verdict->count = view->count[PMF_PAST];
     verdict->first = PMF_PAST;
@@ -466,8 +465,9 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     follow_best(view, 1U, &best, &other);
     if (other.verdict != PMF_READING_FITS || best.chosen < view->past + view->readings || other.unsure != 0U) {
         follow_best(view, 0U, &best, verdict); /* no path is cheaper than all counts if none is with the least demand */
-        doubtful = other.verdict != PMF_READING_FITS || other.unsure != 0U ? 1U : 0U;
-        verdict->unsure |= verdict->verdict == PMF_READING_FITS ? doubtful : 0U;
+        /* with either demand, a sure verdict is the same */
+        verdict->unsure |=
+            other.unsure | (other.verdict != verdict->verdict || other.count != verdict->count ? 1U : 0U);
     }
     if (view->past >= 3U) {
         scalar_t wild = WILD * roughness(view, PMF_PAST - view->past + 1U, PMF_PAST - 2U);
