@@ -453,6 +453,7 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
     pmf_verdict_t other;
     path_t best;
+    scalar_t apart;
     verdict->verdict = PMF_READING_FITS;
     verdict->count = view->count[PMF_PAST];
     verdict->first = PMF_PAST;
@@ -465,9 +466,10 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     follow_best(view, 1U, &best, &other);
     if (other.verdict != PMF_READING_FITS || best.chosen < view->past + view->readings || other.unsure != 0U) {
         follow_best(view, 0U, &best, verdict); /* no path is cheaper than all counts if none is with the least demand */
-        /* with either demand, a sure verdict is the same */
-        verdict->unsure |=
-            other.unsure | (other.verdict != verdict->verdict || other.count != verdict->count ? 1U : 0U);
+        /* with either demand, a sure verdict is the same, and the counts differ by rounding */
+        apart = PMF_SIZE((scalar_t)(other.count - verdict->count));
+        verdict->unsure |= verdict->verdict == PMF_READING_FITS ? other.unsure : 0U;
+        verdict->unsure |= other.verdict != verdict->verdict || apart > view->step ? 1U : 0U;
     }
     if (view->past >= 3U) {
         scalar_t wild = WILD * roughness(view, PMF_PAST - view->past + 1U, PMF_PAST - 2U);
