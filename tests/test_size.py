@@ -17,7 +17,7 @@ MOST = {
     "lines of code in src": 37434,
     "lines of code in report and cli": 2919,
     "thresholds in src": 953,
-    "lines of csrc": 8742,
+    "lines of csrc": 8745,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
     "lines of tests": 27667,
