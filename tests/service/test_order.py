@@ -29,9 +29,7 @@ def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[Sa
     for turn, block in enumerate(blocks):
         verdict = order.take(block, 0.0, turn, pieces)
         if verdict is not None:
-            total.duplicate += verdict.duplicate
-            total.late += verdict.late
-            total.refused += verdict.refused
+            total.dropped += verdict.dropped
             total.events += verdict.events
     return pieces, total
 
@@ -76,7 +74,7 @@ def test_a_hole_is_a_gap_once_more_than_the_window_waits_after_it_and_then_late(
     assert [(p.lead, p.u.size) for p in pieces] == [(0, 50), (0, 51), (19, 70), (0, 40)]
     assert [reported["event"] for reported in verdict.events] == ["gap"]
     _, verdict = put_in_order([block(0, 101), block(120, 110), block(101, 19), block(0, 10)])
-    assert (verdict.late, verdict.duplicate) == (19, 10)
+    assert (verdict.dropped["late"], verdict.dropped["duplicate"]) == (19, 10)
 
 
 def test_a_new_epoch_is_a_gap_of_known_length_where_the_clock_tells_and_else_unknown() -> None:
@@ -87,7 +85,7 @@ def test_a_new_epoch_is_a_gap_of_known_length_where_the_clock_tells_and_else_unk
         assert [(p.lead, p.apart) for p in pieces] == [(0, True), (lead, True)]
         assert [reported["event"] for reported in verdict.events] == ["epoch"]
     _, verdict = put_in_order([*later, block(10, 5, time=5.1)], window=0)
-    assert verdict.late == 5
+    assert verdict.dropped["late"] == 5
 
 
 @pytest.mark.parametrize(("samples", "begins"), [(2**53, True), (9_000_000, True), (8_000_000, False)])
@@ -109,7 +107,7 @@ def lines_in_order(lines: Sequence[Line], window: float) -> tuple[list[Step], It
     for turn, line in enumerate(lines):
         verdict = timed.take(Lines("x", [line]), 0.0, turn, pieces)
         total.events += verdict.events
-        total.refused += verdict.refused
+        total.dropped += verdict.dropped
         restored = Timed(DT, window, timed=True)
         restored.restore(timed.save_state())
         timed = restored

@@ -155,7 +155,7 @@ def test_a_browser_that_looks_at_an_axis_keeps_a_bounded_part_of_its_rows() -> N
         for _ in range(100):
             page.plant.run(10.0)
         (followed,) = page.plant.board._followed.values()
-        assert sum(piece.size for piece in followed.pieces) <= TUNING.board_waiting
+        assert sum(piece.size for piece in followed.pieces) <= TUNING.board_rows
 
 
 # --- paths and reflected text -----------------------------------------------------------------------------------------

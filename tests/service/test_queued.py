@@ -66,8 +66,8 @@ def test_what_waits_is_bounded_in_order_and_all_accounted_for(steps: list[str], 
             offered_notices += not is_rows
             one = block(GROUP, number) if is_rows else alarm(number) if step == "alarm" else notice(number, "gap")
             lost = waiting.add(one)
-        lost_rows += lost.rows
-        lost_notices += lost.notices
+        lost_rows += lost["rows"]
+        lost_notices += lost["notices"]
         assert waiting.size <= rows * size
         assert len(waiting.notices) <= notices
     got += waiting.take(1000)

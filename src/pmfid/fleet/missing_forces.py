@@ -47,9 +47,9 @@ def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> Floa
     values, usual, way = equation.role_values(theta), rms(speed[speed != 0]), np.sign(speed)
     coulomb = (values[COULOMB_FORWARD] + values[COULOMB_BACKWARD]) / 2
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2
-    forces = [-TUNING.input_bends * equation.input_gain * u * np.abs(u) / rms(u)]
+    forces = [-TUNING.bends * equation.input_gain * u * np.abs(u) / rms(u)]
     if not any(isinstance(term.shape, Square) for term in equation.shaped):
-        forces.append(TUNING.friction_bends * viscous * speed * np.abs(speed) / usual)
+        forces.append(TUNING.bends * viscous * speed * np.abs(speed) / usual)
     if not any(isinstance(term.shape, Stribeck) for term in equation.shaped):
         slow = np.exp(-((speed / (TUNING.slow_speed * usual)) ** 2))
         forces.append(TUNING.friction_at_rest * coulomb * way * slow)

@@ -142,11 +142,8 @@ def _cut(samples: int, quarter: int) -> list[slice]:
     found = [slice(start, start + size) for start in range(0, samples - size + 1, size)]
     start = len(found) * size
     rest = (samples - start) // quarter
-    return (
-        [*found, slice(start, start + rest * quarter)]
-        if rest >= (TUNING.segments_rest if found else TUNING.segments_least)
-        else found
-    )
+    enough = rest >= TUNING.segments_rest if found else rest > 0
+    return [*found, slice(start, start + rest * quarter)] if enough else found
 
 
 #: Estimates with one of these bits tell nothing of missing forces.

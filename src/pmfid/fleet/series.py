@@ -115,7 +115,7 @@ def widen_errors(series: Series) -> Series:
     effects (DerSimonian and Laird, 1986), with medians, which a few steps do not move.
     """
     used = series[series.usable]
-    if used.start.size < TUNING.least_shared:
+    if used.start.size < TUNING.series_batches:
         return series
     apart = np.median(np.abs(np.diff(used.theta, axis=0)), axis=0) / NORMAL_MEDIAN
     known = np.median(used.std[1:] ** 2 + used.std[:-1] ** 2, axis=0)
@@ -199,7 +199,7 @@ class Periods:
     def numbers(self, series: Series, segment: float) -> NDArray[np.int64]:
         """Return the number (n,) of the period of each segment. `segment` is the length of a segment [s]."""
         if self.length is None:
-            pauses = series.start[1:] - series.end[:-1] > max(TUNING.series_pause, segment)
+            pauses = series.start[1:] - series.end[:-1] > max(TUNING.settings_segment, segment)
             return np.concatenate([[0], np.cumsum(pauses)]).astype(np.int64)[: series.start.size]
         middle = (series.start + series.end) / 2
         return np.floor((middle - self.start) / self.length).astype(np.int64)
@@ -273,7 +273,9 @@ def _uneven(used: Series) -> bool:
         if np.any(own):
             (one, std), (rest, other) = mean_of(used[own]), mean_of(used[~own])
             apart = np.abs(one - rest)
-            if np.any((apart > TUNING.series_agrees * np.hypot(std, other)) & (apart > TUNING.same_way * np.abs(rest))):
+            if np.any(
+                (apart > TUNING.series_agrees * np.hypot(std, other)) & (apart > TUNING.model_tolerance * np.abs(rest))
+            ):
                 return True
     return False
 

@@ -108,7 +108,7 @@ def make_settings(given: Axis, estimator: RecursiveEstimator | REdge, most: floa
     if segment is None:
         plain = max(TUNING.settings_segment, TUNING.settings_settled * settled)
         segment = plain if config.forgetting == 1 else TUNING.settings_memories * estimator.dt / (1 - config.forgetting)
-    segment, least = min(segment, most), TUNING.least_settled * settled
+    segment, least = min(segment, most), TUNING.segments_long * settled
     if not segment >= least:
         raise UsageError(
             f"segments of {segment:.3g} s are shorter than the {least:.3g} s that the filters need; use "

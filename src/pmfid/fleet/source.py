@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from pmfid.config.axis import Axis
-from pmfid.errors import UsageError, did_you_mean
+from pmfid.errors import UsageError, did_you_mean, list_some
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.arrow import FILE as ARROW
 from pmfid.io.reading import ENDINGS, READERS, read_table
@@ -256,11 +256,8 @@ class Part:
                 made.append(_cast(own, name, pl.String(), columns.factor, pl.lit(self.constants[name])))
             else:
                 known = [*schema, *self.constants]
-                more = ", ..." if len(known) > TUNING.source_listed else ""
-                listed = ", ".join(known[: TUNING.source_listed]) + more
-                raise UsageError(
-                    f"the data have no column {name!r}; the columns are {listed}{did_you_mean(name, known)}"
-                )
+                listed = f"the columns are {list_some(known)}{did_you_mean(name, known)}"
+                raise UsageError(f"the data have no column {name!r}; {listed}")
         return frame.select(made)
 
     def other_types(self, columns: SourceColumns) -> list[str]:
@@ -408,6 +405,6 @@ def seconds(text: str) -> float:
         found = float(number) * SECONDS[unit]
     except (ValueError, KeyError):
         found = float("nan")
-    if not TUNING.source_shortest <= found < TUNING.source_longest:
+    if not TUNING.source_shortest <= found < float("inf"):
         raise UsageError(f"{text!r} is not a valid duration of a period; give a duration such as 600, 10min, 1h or 7d")
     return found

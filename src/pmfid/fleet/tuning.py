@@ -29,14 +29,13 @@ class FleetTuning:
     least_part: float = 0.1
 
     # missing_forces
-    #: Plausible sizes: a gain that falls at the usual input, friction beyond viscous friction at the usual speed, and
-    #: friction at rest beyond Coulomb friction, each as a part. `slow_speed` is the usual Stribeck speed as a part of
-    #: the usual speed.
-    input_bends: float = 0.15
-    friction_bends: float = 0.15
+    #: Plausible sizes: a gain that falls at the usual input, or friction beyond viscous friction at the usual speed,
+    #: and friction at rest beyond Coulomb friction, each as a part. `slow_speed` is the usual Stribeck speed as a part
+    #: of the usual speed.
+    bends: float = 0.15
     friction_at_rest: float = 0.3
     slow_speed: float = 0.1
-    #: Part of its size by which a missing force may move a parameter before the axis reports the force.
+    #: Part of its size by which a missing force, or the direction of motion, may move a parameter without a report.
     model_tolerance: float = 0.02
 
     # local
@@ -55,12 +54,11 @@ class FleetTuning:
     rows_apart: float = 8.5
 
     # segments
-    #: Number of quarters in a whole segment, in a segment at the end of a piece, and in a segment that is a whole
-    #: piece.
+    #: Number of quarters in a whole segment, and in a further segment at the end of a piece.
     segments_whole: int = 4
     segments_rest: int = 2
-    segments_least: int = 1
-    #: Length of a rest [settling times of the filters] above which two settling times replace it.
+    #: Length of a rest above which two settling times replace it, and least length of a segment, in settling times of
+    #: the filters.
     segments_long: int = 4
     #: Least duration of a few moves with the ends of the rests on both sides, in settling times. Of a shorter motion
     #: the filters see only begin and end. Repetitions of one motion have the same error.
@@ -88,57 +86,46 @@ class FleetTuning:
     one_of: int = 16
 
     # series
-    #: Least number of batches whose means reveal a lasting deviation.
+    #: Least number of batches whose means reveal a lasting deviation, and of segments that reveal their shared scatter.
     series_batches: int = 4
     #: Least factor by which the scatter of segments may correct their standard errors. `series_few` is the least number
     #: of segments for a correction below 1.
     least_noise: float = 0.7
     series_few: int = 20
-    #: Least number of segments that reveal their shared scatter.
-    least_shared: int = 4
-    #: Pause after which a new run begins [s]. For long segments, the pause is as long as a segment.
-    series_pause: float = 60.0
-    #: Largest allowed difference between estimates from opposite directions, in standard deviations and as a part of
-    #: their size.
+    #: Largest allowed difference between estimates from opposite directions, in standard deviations.
     series_agrees: float = 4.0
-    same_way: float = 0.02
     #: Relative difference within which sample periods count as equal.
     series_same: float = 1e-3
     #: Part of imputed samples above which a period reports missing samples.
     series_lost: float = 0.01
 
     # settings
-    #: Usual length of a segment [s], if the configuration has no memory of its own.
+    #: Usual length of a segment [s], if the configuration has no memory of its own, and least pause before a new run.
     settings_segment: float = 60.0
     #: Length of a segment in memories of the estimator.
     settings_memories: float = 2.5
     #: Factor by which omitted rests may lengthen a segment.
     settings_span: int = 10
-    #: Usual and least length of a segment, in settling times of the filters.
+    #: Usual length of a segment, in settling times of the filters.
     settings_settled: int = 20
-    least_settled: int = 4
     #: Largest part of missing samples in a piece.
     most_missing: float = 0.2
     #: Largest number of axes whose first hour may decide.
     tried_axes: int = 25
 
     # source
-    #: Number of columns that a message lists if a column is missing.
-    source_listed: int = 30
-    #: Limits of the length of a period [s].
+    #: Shortest length of a period [s].
     source_shortest: float = 1.0
-    source_longest: float = 1e9
 
     # verdicts
     #: Number of axes that each test may name by chance in a fleet without faults.
     by_chance: float = 0.3
     #: Standard deviations of a step above which its period reports the step without regard to other axes.
     verdicts_clear: float = 6.0
-    #: Least number of axes of one type whose spread reveals an unusual axis.
-    least_axes: int = 8
     #: Parts of the axes of a type whose distance from the median gives the spread. The remaining axes may be outliers.
     verdicts_parts: tuple[float, ...] = (0.5, 0.7, 0.8, 0.9)
-    #: Least number of segments that always separate a step from wandering.
+    #: Least number of segments that always separate a step from wandering, and of axes of one type whose spread reveals
+    #: an unusual axis.
     verdicts_sure: int = 8
     #: Standard deviations of a step or trend below which no axis is named, so that no other explanation is needed.
     looked_at: float = 2.0

@@ -144,7 +144,7 @@ def _silent_since(follows: Sequence[Follow]) -> list[float]:
     """
     ends = np.array([one.last for one in follows if math.isfinite(one.last)])
     usual = float(np.median(ends)) if ends.size else math.nan
-    return [one.last if usual - one.last > 2 * max(one.pause, TUNING.series_pause) else math.nan for one in follows]
+    return [one.last if usual - one.last > 2 * max(one.pause, TUNING.settings_segment) else math.nan for one in follows]
 
 
 def _stop(verdict: AxisVerdict, since: float) -> AxisVerdict:
@@ -232,7 +232,7 @@ def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list
     found = {}
     for kind, members in groups.items():
         theta, _ = _estimates(follows, members)
-        sorts = sorts_of(_logarithms(theta)[0], TUNING.least_axes, tolerance)
+        sorts = sorts_of(_logarithms(theta)[0], TUNING.verdicts_sure, tolerance)
         found[kind] = [[members[k] for k in own] for own in sorts]
     return found
 
@@ -251,7 +251,7 @@ def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Float
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
     for sorts in sorts_by_type(follows, tolerance).values():
         for members in sorts:
-            if len(members) >= TUNING.least_axes:
+            if len(members) >= TUNING.verdicts_sure:
                 for k, *pair in zip(members, *_compare_axes(*_estimates(follows, members), tolerance), strict=True):
                     found[k] = (pair[0], pair[1])
     return found

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid._stage import centred, weights
-from pmfid.encoder import quantize
+from pmfid.encoder import COUNT_LIMIT, quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.fit.free_motion import simulate_from_rest
 from pmfid.monitor.chance import Chance, measure_chance, sum_variances
-from pmfid.monitor.detector import statistics
+from pmfid.monitor.detector import WINDOW, statistics
 from pmfid.monitor.scores import (
     UNUSABLE,
     UNUSABLE_AT_REST,
@@ -28,10 +28,13 @@ from pmfid.monitor.tuning import TUNING
 from pmfid.monitor.warmth import Warmth, find_warmth
 from pmfid.types import Counts, Floats
 
+#: Lengths of compared sums [blocks], up to the window of the detectors.
+LENGTHS = tuple((2 ** np.arange(WINDOW.bit_length())).tolist())
+
 
 def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats]) -> bool:
     """Return whether sums of the record's blocks deviate by more than sums of simulated blocks, each x and w (n, p)."""
-    (found, error), (normal, other) = (sum_variances(*one, TUNING.calibration_lengths) for one in (record, simulated))
+    (found, error), (normal, other) = (sum_variances(*one, LENGTHS) for one in (record, simulated))
     chance = TUNING.calibration_larger * np.hypot(error, other)
     return bool(np.any(found - np.maximum(chance, (TUNING.at_least - 1) * normal) > normal))
 
@@ -222,7 +225,7 @@ def calibrate(
     _check(simulated)
     scale = make_scale(simulated)
     x, w = scale.standardise(simulated)
-    chance = measure_chance(_duration(estimator, simulated) / len(x), TUNING.calibration_lengths, x, w)
+    chance = measure_chance(_duration(estimator, simulated) / len(x), LENGTHS, x, w)
     statistic = statistics(x, w, np.zeros(theta.size))
     plain = Calibration(theta, scale, _work_of_blocks(scale), chance.inflate(statistic), np.ones(theta.size))
     if counts is None:
@@ -252,7 +255,7 @@ def _calibrate_by_record(plain: Calibration, estimator: Estimator, record: Block
     x, w = work.scale.standardise(work.units(record, information))
     time = _duration(estimator, record)
     _check_units(len(x), seconds)
-    chance = measure_chance(time / len(x), TUNING.calibration_lengths, x, w, growing=True)
+    chance = measure_chance(time / len(x), LENGTHS, x, w, growing=True)
     return replace(plain, work=work, chance=chance, record_hours=time / 3600)
 
 
@@ -261,16 +264,12 @@ def _duration(estimator: Estimator, blocks: Blocks) -> float:
     return len(blocks.score) * block_samples(estimator) * estimator.dt
 
 
-#: Least number of units whose scatter gives thresholds.
-LEAST_RECORD_UNITS = TUNING.calibration_lengths[-1]
-
-
 def _check_units(units: int, time: float) -> None:
-    if units < LEAST_RECORD_UNITS:
-        enough = LEAST_RECORD_UNITS / max(units, 1) * time
+    if units < WINDOW:
+        enough = WINDOW / max(units, 1) * time
         raise UsageError(
             "the record of normal work is noisier than the encoder explains. Thresholds from its scatter "
-            f"need {LEAST_RECORD_UNITS} independent stretches of motion, and it has {units} in {time:.3g} "
+            f"need {WINDOW} independent stretches of motion, and it has {units} in {time:.3g} "
             f"s: record {enough:.3g} s or more, without a change of the machine"
         )
 
@@ -321,7 +320,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     `phase` is the start on the encoder's lattice, in counts.
     """
     position = simulate_from_rest(estimator.equation, theta, u[:-1], estimator.dt)
-    if not np.max(np.abs(position)) < TUNING.most_counts * estimator.encoder.resolution:
+    if not np.max(np.abs(position)) < COUNT_LIMIT * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
             f"the model with the normal parameters ({values}) is unstable under the recorded input: "
@@ -338,7 +337,7 @@ def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
     x, _ = scale.standardise(blocks)
     power = (x**2).mean(axis=0)
     error = (x**2).std(axis=0) / math.sqrt(len(x))
-    return np.where(np.abs(power - 1) > TUNING.calibration_noisier * error, np.sqrt(power), 1.0)
+    return np.where(np.abs(power - 1) > TUNING.calibration_larger * error, np.sqrt(power), 1.0)
 
 
 def _check(blocks: Blocks) -> None:

@@ -46,7 +46,7 @@ class Chance:
 
     def inflate(self, *statistics: Floats) -> Chance:
         """Return the chance with the inflation of large maxima over intervals of statistics (n,) of normal work."""
-        size, part = TUNING.chance_interval, TUNING.chance_part
+        size, part = TUNING.look_back, TUNING.chance_part
         maxima = np.concatenate([one[: len(one) // size * size].reshape(-1, size).max(axis=1) for one in statistics])
         usual = _solve(-math.log(part) / size, self._power(self.variance))
         return replace(self, inflation=max(1.0, float(np.quantile(maxima, part)) / usual))
@@ -108,11 +108,12 @@ def _sum(part: Floats, length: int) -> Floats:
 
 def _solve(rate: float, power: Floats) -> float:
     """Return the threshold with a number of false alarms per unit."""
-    low, high = TUNING.chance_range
-    for _ in range(TUNING.chance_bisections):
-        middle = (low + high) / 2
-        low, high = (middle, high) if _rate(middle, power) > rate else (low, middle)
-    return high
+    from scipy.optimize import brentq
+
+    high = 1.0
+    while _rate(high, power) > rate:
+        high *= 2
+    return high if high == 1 else float(brentq(lambda one: _rate(one, power) - rate, high / 2, high))
 
 
 def _rate(threshold: float, power: Floats) -> float:

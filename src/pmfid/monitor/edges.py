@@ -256,7 +256,7 @@ class EdgeMonitor(AxisMonitor):
         late = own.since[0] >= TUNING.edge_confirmed * self.patience
         own.statistic[0] = max((abs(one.relative) - tolerance) / one.relative_std for one in sure.changes)
         if self.statistic > self.threshold and (late or not cause.near):
-            return self._alarm(cause, slow=cause.size < TUNING.edge_slow * float(np.max(np.abs(relative))))
+            return self._alarm(cause, slow=cause.size < TUNING.axis_pace * float(np.max(np.abs(relative))))
         if late and np.any(np.abs(relative) - error > tolerance):
             slow = explain(evidence, self.reference, self.estimator.equation, tolerance)
             own.statistic[0] = max((abs(one.relative) - tolerance) / one.relative_std for one in slow.changes)
@@ -278,7 +278,7 @@ class EdgeMonitor(AxisMonitor):
         rate = 3600 * alarm.relative / ((self.samples - own.referred[0]) * self.estimator.dt)
         # After a pause, the mean rate is lower. A step is larger than the rate explains.
         pace = rate / own.rate[0] if number == own.cause[0] and own.rate[0] else 0.0
-        own.goes_on[0] = pace > TUNING.edge_slow and (slow or pace < 1 / TUNING.edge_slow)
+        own.goes_on[0] = pace > TUNING.axis_pace and (slow or pace < 1 / TUNING.axis_pace)
         own.cause[0], own.rate[0] = number, rate if slow or own.goes_on[0] else 0.0
         return [
             *([] if own.goes_on[0] else [alarm]),

@@ -27,17 +27,14 @@ class MonitorTuning:
     most_information: float = 1.5
     #: Share of the earlier information that the estimator keeps at the first suspicion.
     axis_keep: float = 0.003
-    #: Part of the expected rate, of the expected time of growth, or of the deviation, from which a slow change goes on.
+    #: Part of the last rate, of the expected time of growth, or of the deviation, from which a slow change goes on. A
+    #: change is slow if less than this part of the deviation is new.
     axis_pace: float = 0.5
 
     # chance
-    #: Range of thresholds, and number of its bisections, after which 6 digits are certain.
-    chance_range: tuple[float, float] = (1.0, 1e4)
-    chance_bisections: int = 48
     #: Number of levels of the information of sums.
     chance_levels: int = 16
-    #: Number of units over which maxima of the statistic are taken, and part of the maxima below the compared one.
-    chance_interval: int = 64
+    #: Part of the maxima of the statistic below the compared one.
     chance_part: float = 0.98
 
     # edges
@@ -52,14 +49,10 @@ class MonitorTuning:
     #: Times in units of `silent_time`: until a cause is named without this, and until an unsure value is the reference.
     edge_confirmed: int = 2
     edge_settled: int = 10
-    #: A change is slow if less than this part of the deviation is new. It goes on if its rate is at least this part of
-    #: its last rate.
-    edge_slow: float = 0.5
 
     # calibration
-    #: Lengths of compared sums [blocks]. The longest is the window of the detectors.
-    calibration_lengths: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
-    #: Least excess of a record's power over the simulated power that counts, in standard errors and as a ratio.
+    #: Least difference between the powers of a record and of its simulation that counts, in standard errors and as a
+    #: ratio.
     calibration_larger: float = 3.0
     at_least: float = 1.3
     #: Information of a unit [average blocks]. The first size counts at which neighbouring units correlate by less than
@@ -72,11 +65,6 @@ class MonitorTuning:
     calibration_within: float = 0.97
     #: Number of passes that find limit and mean.
     calibration_passes: int = 5
-    #: Difference between a record's noise and the simulated noise, in standard errors, above which the record's noise
-    #: counts.
-    calibration_noisier: float = 3.0
-    #: Largest distance [counts] of a simulated machine. A machine that goes further runs away.
-    most_counts: float = 2.0**53
     #: Least number of blocks in the simulation of a record, which gives thresholds to 3 %, and number of its parts.
     #: Each part begins at another phase of the encoder.
     calibration_blocks: int = 20_000
@@ -124,7 +112,7 @@ class MonitorTuning:
     #: Time until the model has the plant's velocity, in the plant's time constants, and its largest number of blocks.
     start_time_constants: float = 4.0
     most_start_blocks: int = 60
-    #: Number of past units that an alarm examines.
+    #: Number of past units that an alarm examines, and over which maxima of the statistic are taken.
     look_back: int = 64
 
     # warmth

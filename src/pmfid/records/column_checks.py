@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.config.record import RecordConfig
+from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError
 from pmfid.records.clock import LARGEST_NUMBER, MIN_SAMPLES, time_factor
 from pmfid.types import Counts, Flags, Floats
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 #: rounding.
 RECORD_WHOLE = 1e-3
 RECORD_ROUNDING = 1e-6
-MAX_COUNT = 2.0**53
 #: Number of rows that are tested for steps and counts. A column holds counts if all tested numbers are whole and more
 #: than `MOST_WHOLE` of them are distinct.
 RECORD_DISTINCT = 20_000
@@ -75,7 +75,7 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
 
 def round_counts(output: Floats) -> Counts:
     """Return counts (n,) as integers. Raises UsageError for fractions and beyond 2**53 counts."""
-    rounded, most = np.rint(output), MAX_COUNT
+    rounded, most = np.rint(output), COUNT_LIMIT
     if np.array_equal(rounded, output) and -most < np.min(output, initial=0) and np.max(output, initial=0) < most:
         return rounded.astype(np.int64)
     off = np.subtract(output, rounded)

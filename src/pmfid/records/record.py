@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
+from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError
 from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.io.csv_text import Stated
@@ -19,7 +20,6 @@ from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, n
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import MIN_SAMPLES, PlacedRows, named_unit, place_rows, sample_period, time_factor
 from pmfid.records.column_checks import (
-    MAX_COUNT,
     check_counts,
     check_lengths,
     check_not_empty,
@@ -68,7 +68,7 @@ def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
     with np.errstate(over="ignore", invalid="ignore"):
         parts = y / step
         counts = np.floor(parts + (_edge_between(parts) or tolerance))
-    bad = np.flatnonzero(np.abs(counts) >= MAX_COUNT)
+    bad = np.flatnonzero(np.abs(counts) >= COUNT_LIMIT)
     if len(bad):
         raise UsageError(
             f"the position {y[bad[0]]:.9g} in row {bad[0] + 1} is more than 2**53 counts of {step:g}; "
@@ -82,7 +82,7 @@ def _edge_between(parts: Floats) -> float | None:
 
     The result is None unless the positions fill less than half of a count, as those of a count with rounding do.
     """
-    finite = parts[np.abs(parts) < MAX_COUNT]
+    finite = parts[np.abs(parts) < COUNT_LIMIT]
     bins = 64
     full = np.flatnonzero(np.bincount(((finite % 1.0) * bins).astype(np.intp) % bins, minlength=bins))
     if not full.size:

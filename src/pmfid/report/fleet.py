@@ -203,8 +203,8 @@ def _besides(found: History) -> str:
     known = found.axes.filter(found.axes["segments"] > 0).select(f"{name}_deviation" for name in found.names)
     if alone := sum(all(math.isnan(value) for value in row) for row in known.iter_rows()):
         text += (
-            f"\n\n{_many(alone, 'axis is', 'axes are')} of a type with fewer than {FLEET_TUNING.least_axes}, too few "
-            "to show what is usual, and compared only with their own past."
+            f"\n\n{_many(alone, 'axis is', 'axes are')} of a type with fewer than {FLEET_TUNING.verdicts_sure}, too "
+            "few to show what is usual, and compared only with their own past."
         )
     for part, reason in (
         found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()

@@ -74,8 +74,6 @@ def read_secret(place: str, folder: Path) -> str:
 
 #: Ports of a broker, without and with TLS.
 PORT, TLS_PORT = 1883, 8883
-#: Time after which an attempt to connect is given up, and longest pause before the next one [s].
-CONNECTING = 10.0
 
 
 class BrokerSection(FileSection):
@@ -153,7 +151,7 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
     client = mqtt.Client(
         CallbackAPIVersion.VERSION2, name, protocol=mqtt.MQTTv5, reconnect_on_failure=False, manual_ack=acknowledges
     )
-    client.connect_timeout = CONNECTING
+    client.connect_timeout = TUNING.answer
     if section.user is not None:
         client.username_pw_set(section.user, section.password and read_secret(section.password, folder))
     if section.encrypted:

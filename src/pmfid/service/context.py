@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -12,9 +12,6 @@ from pmfid.config.toml_file import FileSection
 from pmfid.errors import PmfidError, UsageError
 from pmfid.stream.delivery import Delivery
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
-
-#: Number of bytes that one call reads.
-CHUNK = 65_536
 
 #: A function that hands a delivery to the engine, and waits while the inbox is full. The function returns False once
 #: the service ends. After False the source returns, and the delivery counts as not received.
@@ -96,20 +93,6 @@ class Context:
         if found is None:
             raise UsageError(f"the plant has no axis {axis!r}; give the name of a section [axes.NAME]")
         return found
-
-
-@dataclass
-class ProblemReport:
-    """A reporter of a source's problems, which reports each problem once, and its end as ""."""
-
-    source: str
-    tell: Tell
-    _problem: str = field(default="", init=False)
-
-    def say(self, problem: str) -> None:
-        if problem != self._problem:
-            self._problem = problem
-            self.tell({"event": "source", "source": self.source, "problem": problem})
 
 
 class SourceSection(FileSection):

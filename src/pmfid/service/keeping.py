@@ -55,8 +55,8 @@ class Checkpoints:
         self._count_lost(self._notices.add(notice))
 
     def _count_lost(self, lost: Lost) -> None:
-        if lost.notices:
-            self.counters.add("pmfid_dropped_notices_total", lost.notices, sink="history")
+        if lost["notices"]:
+            self.counters.add("pmfid_dropped_notices_total", lost["notices"], sink="history")
 
     def call_when_kept(self, done: Done) -> None:
         """Register `done`, which is called after the next durable checkpoint."""

@@ -33,6 +33,7 @@ from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice, Outlet
 from pmfid.stream.store import FILE, Vault
+from pmfid.stream.tuning import TUNING as STREAM_TUNING
 
 if TYPE_CHECKING:
     from pmfid.service.web.server import Page
@@ -145,7 +146,7 @@ class Service:
         except BaseException:
             if self._keeper is not None:
                 self._keeper.vault.close()
-            self._log.close(TUNING.run_ending)
+            self._log.close(TUNING.answer)
             raise
         restored = set[str]() if self._saved is None else set(self._saved.axes())
         self._needed = {path for name, path in plant.axes.items() if name in restored} & self._configs.keys()
@@ -182,7 +183,7 @@ class Service:
         known = set(saved.axes())
         changed = [name for name in fresh if name in known]
         restored = {"event": "checkpoint", "restored": len(self._axes) - len(fresh), "fresh": started}
-        more = {"changed": changed[: TUNING.most_names]} if changed else {}
+        more = {"changed": changed[: STREAM_TUNING.most_names]} if changed else {}
         self._tell_now({**restored, "made": saved.wall, **more})
 
     def _tell_now(self, what: dict[str, Any]) -> None:
@@ -266,7 +267,7 @@ class Service:
 
     def _report_progress(self) -> None:
         left, now = len(self._engine.awaited), time.monotonic()
-        if left and self._axes and now - self._reported > TUNING.arrangement_progress:
+        if left and self._axes and now - self._reported > TUNING.answer:
             self._reported = now
             self._tell_now({"event": "calibration", "watched": len(self._axes), "awaited": left})
 
@@ -347,7 +348,7 @@ class Service:
     def _watch(self) -> None:
         alive = time.monotonic()
         while not self._stopping and self._thread.is_alive():
-            time.sleep(TUNING.run_look)
+            time.sleep(STREAM_TUNING.engine_idle)
             if self._reload_due:
                 self._reload_due = False
                 self._reload()
@@ -390,7 +391,7 @@ class Service:
         changed = sum(name in before for name in fresh)
         reload = {"event": "reload", "added": len(fresh) - changed, "changed": changed, "removed": gone}
         if left := plant.unlike(self._plant):
-            rest = ", ".join(left[: TUNING.most_names])
+            rest = ", ".join(left[: STREAM_TUNING.most_names])
             reload["problem"] = (
                 f"changes of {rest} are not applied, because only axes and fleets are read again; restart the "
                 "service to apply them"
@@ -417,7 +418,7 @@ class Service:
         if self._page is not None:
             self._page.stop()
         for sink in self._sinks:
-            sink.close(TUNING.run_ending)
-        self._log.close(TUNING.run_ending)
+            sink.close(TUNING.answer)
+        self._log.close(TUNING.answer)
         if self._problem is not None:
             raise self._problem

@@ -70,4 +70,4 @@ class Running:
 
     def join(self) -> None:
         if self._thread is not None:
-            self._thread.join(TUNING.run_ending)
+            self._thread.join(TUNING.answer)

@@ -9,14 +9,9 @@ from dataclasses import dataclass
 class ServiceTuning:
     """All thresholds of `pmfid.service`, ordered by module."""
 
-    # arrangement
-    #: Time between two reports on the progress of a calibration [s].
-    arrangement_progress: float = 10.0
-
     # board.board
-    #: Number of kept notices, and of rows of an axis that a browser looks at.
-    board_notices: int = 2000
-    board_waiting: int = 50_000
+    #: Largest number of rows of an axis, or of its reference, for a browser.
+    board_rows: int = 50_000
     #: Time after its last request for which a browser still looks at an axis [s].
     board_looking: float = 5.0
 
@@ -27,12 +22,15 @@ class ServiceTuning:
     panel_finest: float = 2.0
     panel_coarsest: float = 1024.0
     panel_rows: float = 2.0
-    #: Smallest and largest number of kept rows of an axis.
+    #: Smallest number of kept rows of an axis.
     panel_fewest: int = 4
-    panel_most: int = 20_000
 
     # broker
-    #: First and longest pause after errors of sources and sinks [s].
+    #: Time for a broker, the page, a source or a sink to answer or to end, and time between two reports on the progress
+    #: of a calibration [s].
+    answer: float = 10.0
+    #: First and longest pause after errors of sources and sinks [s]. A sink that works for the longest pause begins
+    #: with the first one again, and gets one notice on lost rows in this time.
     first_pause: float = 0.5
     longest_pause: float = 60.0
 
@@ -48,11 +46,6 @@ class ServiceTuning:
     most_axes: int = 1_000_000
 
     # run
-    #: Time between two tests for signals, and time that sources and sinks have to end [s].
-    run_look: float = 0.1
-    run_ending: float = 10.0
-    #: Largest number of names in a notice.
-    most_names: int = 100
     #: Number of objects after which garbage is collected. Blocks come and go by tens of thousands, without reference
     #: cycles.
     run_collected: int = 50_000
@@ -60,31 +53,18 @@ class ServiceTuning:
     run_stuck: float = 60.0
 
     # sinks.mqtt
-    #: Time for the broker to accept the connection, and to acknowledge published messages [s].
-    mqtt_answer: float = 10.0
     #: Number of rows in one message that many axes share.
     mqtt_batch: int = 500
 
     # sinks.queued
-    #: Time for which a sink must work to begin with the first pause again after an error [s].
-    queued_steady: float = 60.0
-    #: Shortest time between two notices on a slow sink [s].
-    tell_every: float = 60.0
     #: Time after which `put` is called with no outcomes [s], so that a sink notices a closed connection.
     queued_idle: float = 5.0
-    #: Largest number of different problems with refused outcomes that are reported.
-    most_refusals: int = 10
-
-    # sources.stdin
-    #: Time without a byte after which the source looks whether the service ends [s].
-    stdin_look: float = 0.2
 
     # web.api
     #: Number of trends in one request, and number of characters in a note.
     api_trends: int = 200
     api_note: int = 500
-    #: Largest number of displayed rows of a reference record, and of notices in one answer.
-    api_rows: int = 50_000
+    #: Largest number of notices in one answer.
     api_notices: int = 300
 
     # web.security
@@ -93,13 +73,6 @@ class ServiceTuning:
     #: Largest body of a request [bytes], and its longest duration [s].
     largest_body: int = 4096
     slowest_body: float = 5.0
-
-    # web.server
-    #: Times until the page answers, and until it has ended [s].
-    server_started: float = 10.0
-    server_ended: float = 3.0
-    #: Number of connections that the system may queue until they are accepted.
-    server_backlog: int = 1024
 
 
 TUNING = ServiceTuning()

@@ -6,6 +6,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.encoder import COUNT_LIMIT
 from pmfid.simulation._plant import read_encoder
 from pmfid.types import Counts, Floats
 
@@ -38,10 +39,6 @@ def check_signal(name: str, values: ArrayLike) -> Floats:
 def sample_times(samples: int, dt: float) -> Floats:
     """Return the instants k dt, (samples,)."""
     return np.arange(samples, dtype=np.float64) * np.float64(dt)
-
-
-# Up to 2**53, a double represents every whole number. A larger count would be invented.
-COUNT_LIMIT = 2**53
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError
 from pmfid.stream.delivery import Block, Table, Unusable
-from pmfid.stream.lines import MAX_COUNT, MOST_TIME
+from pmfid.stream.lines import MOST_TIME
 from pmfid.types import Counts, Flags, Floats
 
 #: Blocks of version 1 have u and counts, blocks of version 2 also the ages of edges.
 MAGIC, PLAIN = b"PMFB", 1
 WITH_AGES = PLAIN + 1
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
-#: An epoch has 32 bits. Above the largest number of samples, neighbouring integers are one double, as in JSON.
-MOST_EPOCH, MOST_NUMBER = 2**32, 2**53
+#: An epoch has 32 bits.
+MOST_EPOCH = 2**32
 #: Flags that u are float64 instead of float32, counts int64 instead of int32, and ages float64 instead of float32.
 WIDE_U, WIDE_COUNTS = 1, 2
 WIDE_AGES = 2 * WIDE_COUNTS
@@ -32,8 +33,6 @@ FLAGS = {PLAIN: WIDE_AGES, WITH_AGES: 2 * WIDE_AGES}
 #: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt. `block_type` has all fields by name.
 HEADER = struct.Struct("<4sBBHIB3xQdd")
 CRC = struct.Struct("<I")
-#: Size of the longest block in bytes.
-MOST_BYTES = HEADER.size + LONGEST_NAME + 24 * MOST_SAMPLES + CRC.size
 
 
 @lru_cache(64)
@@ -176,8 +175,8 @@ def _are_in_range(table: Table) -> Flags:
     n = table.u.shape[1]
     with np.errstate(invalid="ignore"):
         fine: Flags = (table.dt > 0) & (table.dt < math.inf) & ~(np.abs(table.time) >= MOST_TIME)  # a time may be NaN
-    fine &= (table.first >= 0) & (table.first <= MOST_NUMBER - n) & ~np.isinf(table.u).any(axis=1)
-    fine &= ((table.counts > -MAX_COUNT) & (table.counts < MAX_COUNT)).all(axis=1)
+    fine &= (table.first >= 0) & (table.first <= COUNT_LIMIT - n) & ~np.isinf(table.u).any(axis=1)
+    fine &= ((table.counts > -COUNT_LIMIT) & (table.counts < COUNT_LIMIT)).all(axis=1)
     named: Flags = np.array([name != "" for name in table.axes])
     return fine & named
 
@@ -196,7 +195,7 @@ def problem_of(block: Block, u: Floats, counts: Counts) -> Unusable | None:
         return Unusable(
             "name", f"the name {name[:LONGEST_NAME]!r} must be printable and have 1 to {LONGEST_NAME} bytes"
         )
-    if not (0 <= block.epoch < MOST_EPOCH and 0 <= block.first <= MOST_NUMBER - n):
+    if not (0 <= block.epoch < MOST_EPOCH and 0 <= block.first <= COUNT_LIMIT - n):
         return Unusable("number", f"epoch {block.epoch} or sample number {block.first} is out of range", name)
     if not (0 < block.dt < math.inf and (math.isnan(block.time) or abs(block.time) < MOST_TIME)):
         return Unusable(
@@ -206,6 +205,6 @@ def problem_of(block: Block, u: Floats, counts: Counts) -> Unusable | None:
         )
     if np.isinf(u).any():
         return Unusable("not finite", "an input in the block is infinite", name)
-    if max(abs(int(counts.min())), abs(int(counts.max()))) >= MAX_COUNT:
+    if max(abs(int(counts.min())), abs(int(counts.max()))) >= COUNT_LIMIT:
         return Unusable("number", "counts beyond 2**53", name)
     return None

@@ -242,8 +242,8 @@ class StreamEngine:
         found, followed = ordered.found, self.followed()
         for waiting in ordered.rounds:
             done = step(waiting, followed, self.silence.now)
-            self.counters.add("pmfid_samples_total", done.samples, group=waiting.group.kindred.config)
-            self.counters.add("pmfid_samples_without_input_total", done.lost, group=waiting.group.kindred.config)
+            for name, number in done.counted.items():
+                self.counters.add(name, number, group=waiting.group.kindred.config)
             found += [one for one in done.found if self._admit_event(one)]
             for rows in done.rows:
                 for outlet in self.outlets:

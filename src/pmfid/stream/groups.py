@@ -62,7 +62,7 @@ class Timed(SavedFields):
         verdict, samples = ItemReport(), list[Sample]()
         for given in item.lines:
             if self.timed and self._is_repeated(given):
-                verdict.lines[REPEATED] = verdict.lines.get(REPEATED, 0) + 1
+                verdict.lines[REPEATED] += 1
                 continue
             for line in self._sort_line(given) if self.timed else [self._stamp(given)]:
                 samples += self._samples(line, verdict)
@@ -101,10 +101,10 @@ class Timed(SavedFields):
         return ready
 
     def _take_late(self, line: Line) -> list[Line]:
-        """Pass a late line to the timeline, which classifies the line. `most_late` late lines reveal a clock set
+        """Pass a late line to the timeline, which classifies the line. `timeline_late` late lines reveal a clock set
         back."""
         self._late_in_row += 1
-        if self._late_in_row < TUNING.most_late:
+        if self._late_in_row < TUNING.timeline_late:
             return [line]
         held, self._held = self._held, []
         self._newest, self._late_in_row = line.time, 0
@@ -117,23 +117,23 @@ class Timed(SavedFields):
             if not self._doubtful:
                 verdict.events.append({"event": "period", "problem": str(error)})
             self._grid, self._doubtful = Timeline(self.dt), TUNING.groups_probation
-            verdict.refused += 1
+            verdict.dropped["refused"] += 1
             return []
         samples = [one for one in found if isinstance(one, Sample)]
         for one in found:
             if not isinstance(one, Sample):
-                verdict.lines[one.kind] = verdict.lines.get(one.kind, 0) + 1
+                verdict.lines[one.kind] += 1
                 verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
         return self._check_probation(samples, verdict) if self._doubtful and samples else samples
 
     def _check_probation(self, samples: list[Sample], verdict: ItemReport) -> list[Sample]:
         """Refuse samples after lines of another period, until enough samples fit."""
-        verdict.refused += len(samples)
+        verdict.dropped["refused"] += len(samples)
         self._doubtful = max(0, self._doubtful - len(samples))
         if self._doubtful:
             return []
         last = samples[-1]
-        verdict.refused -= 1
+        verdict.dropped["refused"] -= 1
         return [Sample(last.time, last.u, last.counts, 0, math.inf, last.further)]
 
     def save_state(self) -> Saved:

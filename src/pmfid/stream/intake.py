@@ -191,16 +191,16 @@ class Intake:
     def _judge(self, seat: Seat, verdict: ItemReport, turn: int, found: list[FoundEvent]) -> None:
         """Count dropped samples and lines, and keep events for their turn."""
         group = seat.group.kindred.config
-        for reason in ("duplicate", "late", "refused"):
-            if number := getattr(verdict, reason):
-                self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
+        for reason, number in verdict.dropped.items():
+            self.counters.add("pmfid_samples_dropped_total", number, reason=reason, group=group)
         for kind, number in verdict.lines.items():
             self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
-        if verdict.again or (verdict.late and seat.may_tell("late")):
-            problem = verdict.stale or (
-                f"{verdict.late} samples were discarded, because later samples had already been processed"
+        late = verdict.dropped["late"]
+        if verdict.again or (late and seat.may_tell("late")):
+            problem = (
+                verdict.stale or f"{late} samples were discarded, because later samples had already been processed"
             )
-            self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
+            self.tell({"event": "late", "samples": late, "problem": problem}, seat.name)
         for what in verdict.events:
             self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)
             if what["event"] == "gap":

@@ -10,6 +10,7 @@ from typing import TypeGuard
 
 from pmfid.config.axis import Axis
 from pmfid.config.record import Sections, conversion
+from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.io.csv_text import SEPARATORS, are_units, is_data, split
 from pmfid.io.tables import whole_name
@@ -19,8 +20,6 @@ from pmfid.records.edge_ages import age_factor
 from pmfid.stream.timeline import Line
 from pmfid.stream.tuning import TUNING
 
-#: Limit of counts, because a double cannot represent every larger whole number.
-MAX_COUNT = 2.0**53
 #: Largest time stamp [s]. The limit allows a stamp in ns by mistake, and keeps its number of samples finite.
 MOST_TIME = 1e30
 
@@ -111,7 +110,7 @@ class Reading:
     def _count(self, value: float) -> int:
         """Return the count of an output. A position that is a count with few decimals is far from the next count."""
         counts = math.floor(value / self._step + 0.25) if self._step else round(value)
-        if abs(counts) >= MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
+        if abs(counts) >= COUNT_LIMIT or (self._step is None and abs(counts - value) > 1e-6):
             raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
         return counts
 

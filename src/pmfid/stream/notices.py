@@ -134,7 +134,7 @@ class Silence:
 
     def _look_at_axes(self, groups: Sequence[Group]) -> None:
         found = [(group, self._find_silent(group)) for group in groups]
-        if sum(index.size for _, index in found) > TUNING.notices_most:
+        if sum(index.size for _, index in found) > TUNING.most_names:
             self._raise_for_many(found)
             return
         for group, index in found:
@@ -166,7 +166,7 @@ class Silence:
 
     def _raise_for_many(self, found: Sequence[tuple[Group, NDArray[np.int64]]]) -> None:
         names = [group.kindred.axes[k] for group, index in found for k in index.tolist()]
-        number = self._raise("axes", f"{len(names)} axes", axes=names[: TUNING.notices_most])
+        number = self._raise("axes", f"{len(names)} axes", axes=names[: TUNING.most_names])
         for group, index in found:
             group.positions.alarm[index] = number
 
@@ -192,7 +192,7 @@ class Silence:
             return self._raise(kind, name)
         count = "1 axis has" if len(axes) == 1 else f"{len(axes)} axes have"
         covered = f", so {count} no data ({list_some(axes)})"
-        number = self._raise(kind, name, covered, axes=axes[: TUNING.notices_most])
+        number = self._raise(kind, name, covered, axes=axes[: TUNING.most_names])
         for group, own in here:
             group.positions.alarm[own] = number
         return number

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, TypeVar
@@ -199,15 +200,14 @@ class SamplePiece(NamedTuple):
 class ItemReport:
     """The result of an item, apart from its pieces.
 
-    `duplicate` and `late` count dropped samples, `refused` samples of another period. `lines` has the number of lines
-    without a sample, by their kind. `events` are objects for notices. `stale` is the remedy for a sender whose samples
-    are all dropped. If `again` is set, `stale` becomes a notice even if it was reported before.
+    `dropped` has the number of samples that were left out as "duplicate", "late" or, for another period, "refused".
+    `lines` has the number of lines without a sample, by their kind. `events` are objects for notices. `stale` is the
+    remedy for a sender whose samples are all dropped. If `again` is set, `stale` becomes a notice even if it was
+    reported before.
     """
 
-    duplicate: int = 0
-    late: int = 0
-    refused: int = 0
-    lines: dict[str, int] = field(default_factory=dict)
+    dropped: Counter[str] = field(default_factory=Counter)
+    lines: Counter[str] = field(default_factory=Counter)
     events: list[dict[str, object]] = field(default_factory=list)
     stale: str = ""
     again: bool = False
@@ -262,7 +262,7 @@ class Order:
         if n == 0:
             return verdict
         if block.epoch < self.epoch:
-            verdict.late += n
+            verdict.dropped["late"] += n
             verdict.stale = f"{n} samples of epoch {block.epoch} arrived after epoch {self.epoch} had begun. {REMEDY}"
             return verdict
         if block.epoch == self.epoch and block.end <= self.expected:
@@ -274,7 +274,7 @@ class Order:
         return verdict
 
     def _refuse(self, block: Block, verdict: ItemReport) -> None:
-        verdict.refused += block.counts.size
+        verdict.dropped["refused"] += block.counts.size
         if not self.wrong_period:
             self.wrong_period = True
             problem = (
@@ -287,8 +287,8 @@ class Order:
     def _count_old(self, first: int, end: int, verdict: ItemReport) -> None:
         """Count old samples, which are late if they belong to a gap, and repeated in other cases."""
         late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
-        verdict.late += late
-        verdict.duplicate += end - first - late
+        verdict.dropped["late"] += late
+        verdict.dropped["duplicate"] += end - first - late
 
     def _note_repetition(self, block: Block, verdict: ItemReport) -> None:
         """Report a sender that repeats samples for `nothing_new` seconds, and again at each doubling of this time."""
@@ -310,7 +310,7 @@ class Order:
             at -= 1
         before = self._held[at - 1] if at else None
         if before is not None and before.epoch == block.epoch and before.end >= block.end:
-            verdict.duplicate += block.counts.size
+            verdict.dropped["duplicate"] += block.counts.size
             return False
         self.hold(at, block)
         return True
@@ -358,7 +358,7 @@ class Order:
         if apart:
             self._begin(block, fresh, verdict)
         elif lead:
-            self.gaps = [*self.gaps, (self.expected, block.first)][-TUNING.order_gaps :]
+            self.gaps = [*self.gaps, (self.expected, block.first)][-TUNING.remembered :]
             verdict.events.append({"event": "gap", "time": block.time, "missing": block.first - self.expected})
         known = min(max(0, self.expected - block.first), block.counts.size)
         if known:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -115,12 +116,11 @@ class FoundEvent:
 
 @dataclass
 class Stepped:
-    """The result of a step of a group. `lost` is the number of samples without an input among all `samples`."""
+    """The result of a step of a group. `counted` has increments of counters."""
 
     rows: list[EstimateRows] = field(default_factory=list)
     found: list[FoundEvent] = field(default_factory=list)
-    samples: int = 0
-    lost: int = 0
+    counted: Counter[str] = field(default_factory=Counter)
 
 
 def step(waiting: GroupQueue, followed: frozenset[str] = frozenset(), now: float = 0.0) -> Stepped:
@@ -146,8 +146,8 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
     start = group.numbers[index]
     rows = group.fleet.run(index, batch.u, batch.counts, batch.ages if group.fleet.further else None)
     group.numbers[index] += n
-    done.samples += batch.counts.size
-    done.lost += int(np.count_nonzero(~np.isfinite(batch.u)))
+    done.counted["pmfid_samples_total"] += batch.counts.size
+    done.counted["pmfid_samples_without_input_total"] += int(np.count_nonzero(~np.isfinite(batch.u)))
     events = [(row, 0, event) for row, events in before for event in events]
     for row, k, event in [*events, *rows.events]:
         done.found.append(_build_event(group, batch, row, k, int(start[row]), event))

@@ -68,10 +68,10 @@ class Period(SavedFields):
             self._start, self._count = time, 0
             return
         self._count += 1
-        if self._count >= TUNING.timeline_long and not self._checked:
+        if self._count >= TUNING.rate_samples and not self._checked:
             self._checked = True
             mean = (time - self._start) / (self._count * self.dt)
-            if abs(mean - 1) > TUNING.timeline_fine:
+            if abs(mean - 1) > TUNING.order_rate:
                 self._refuse(mean)
 
     def slots(self, samples: int) -> None:
@@ -172,7 +172,7 @@ class Timeline(SavedFields):
 
     def __post_init__(self) -> None:
         self.period = Period(self.dt)
-        self.recent: deque[Line] = deque(maxlen=TUNING.timeline_remembered)
+        self.recent: deque[Line] = deque(maxlen=TUNING.remembered)
 
     def save_state(self) -> Saved:
         """Return the state for JSON with NaN."""

@@ -28,8 +28,6 @@ class StreamTuning:
     engine_slow: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
     # groups
-    #: Number of consecutive lines before the window that reveal a clock set back.
-    most_late: int = 5
     #: Number of consecutive samples after lines of another period until samples are used again.
     groups_probation: int = 50
     #: Largest number of waiting lines, and number of last lines whose repetition after a restart is recognised.
@@ -62,13 +60,14 @@ class StreamTuning:
     #: Number of sample periods for which an axis may be silent, even above a short limit.
     notices_periods: float = 5.0
     #: Largest number of axes that get their own alarm if they fall silent between two tests. More axes share one alarm.
-    #: No alarm names more axes.
-    notices_most: int = 100
+    #: No notice contains more names.
+    most_names: int = 100
 
     # order
     #: Largest deviation of a clock that was not set [s]. Time stamps may have a resolution of whole seconds.
     order_set: float = 1.5
-    #: Least number of samples and shortest time [s] of a clock measurement, and the tolerance of the clock's rate.
+    #: Least number of samples and shortest time [s] of a clock measurement, and the tolerance of the clock's rate, also
+    #: for the mean period of lines.
     rate_samples: int = 500
     rate_time: float = 60.0
     order_rate: float = 0.005
@@ -78,13 +77,12 @@ class StreamTuning:
     #: [s]. A sender that skips more numbers has restarted.
     longest_gap: float = 3600.0
     longest_absence: float = 86400.0
-    #: Number of remembered gaps, which distinguish late samples from repeated ones.
-    order_gaps: int = 32
     #: Time without a new sample after which a sender is reported [s]. No broker repeats samples for a longer time.
     nothing_new: float = 120.0
 
     # outcome
-    #: Largest number of kept alarms. Above this number, the oldest acknowledged or finished alarm goes first.
+    #: Largest number of kept alarms, and of notices on the page. Above this number, the oldest acknowledged or finished
+    #: alarm goes first.
     outcome_most: int = 2000
 
     # store
@@ -103,10 +101,6 @@ class StreamTuning:
     #: Smallest part of regular steps in a group with a period, and largest distance of a regular step from their mean.
     timeline_regular: float = 0.8
     timeline_close: float = 0.25
-    #: Number of samples before the mean period is checked. The next constant is the largest relative error of the
-    #: period.
-    timeline_long: int = 500
-    timeline_fine: float = 0.005
     #: Largest deviation of the stamp of an expected sample [sample periods]. The limit is large because late stamps are
     #: more common than lost samples.
     timeline_near: float = 0.75
@@ -121,9 +115,9 @@ class StreamTuning:
     #: next line may be lost.
     timeline_soonest: float = 0.25
     timeline_latest: float = 10.0
-    #: Number of recent samples that are compared with a late line. An equal sample means a repetition and not a late
-    #: sample.
-    timeline_remembered: int = 32
+    #: Number of remembered gaps, and of recent samples with which a late line is compared. They distinguish late
+    #: samples from repeated ones.
+    remembered: int = 32
     #: Number of successive lines without a valid time that end the run.
     most_strays: int = 1000
 

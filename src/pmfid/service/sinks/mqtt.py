@@ -54,7 +54,7 @@ class BrokerLink:
         try:
             client.connect(*self._address, keepalive=self._keepalive)
             client.loop_start()
-            if not self._connected.wait(TUNING.mqtt_answer):
+            if not self._connected.wait(TUNING.answer):
                 raise OSError("the broker does not answer")
             self.check()
         except BaseException:
@@ -96,12 +96,12 @@ class BrokerLink:
     def flush(self) -> None:
         """Wait until all published messages are sent, and acknowledged if that was requested."""
         waiting, self._acknowledged = self._acknowledged, []
-        end = time.monotonic() + TUNING.mqtt_answer
+        end = time.monotonic() + TUNING.answer
         for info in [*waiting, *([self._last] if self._last is not None else [])]:
             while not info.is_published():
                 self.check()
                 if time.monotonic() > end:
-                    raise OSError(f"the broker has not acknowledged all messages within {TUNING.mqtt_answer:g} s")
+                    raise OSError(f"the broker has not acknowledged all messages within {TUNING.answer:g} s")
                 info.wait_for_publish(0.05)
         self._last = None
         self.check()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from threading import Condition, Event, Thread
 from typing import ClassVar, NamedTuple
@@ -17,6 +17,7 @@ from pmfid.service.broker import pauses
 from pmfid.service.context import Context, Outcome, Sink, Tell
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
+from pmfid.stream.tuning import TUNING as STREAM_TUNING
 
 
 class QueueLimits(NamedTuple):
@@ -28,11 +29,8 @@ class QueueLimits(NamedTuple):
     take: int = 1024
 
 
-class Lost(NamedTuple):
-    """Numbers of dropped rows and notices."""
-
-    rows: int = 0
-    notices: int = 0
+#: Numbers of dropped "rows" and "notices".
+Lost = Counter[str]
 
 
 def size_of(rows: EstimateRows) -> int:
@@ -93,13 +91,13 @@ class OutcomeQueue:
         return self._drop_excess()
 
     def _drop_excess(self) -> Lost:
-        rows = notices = 0
+        lost = Lost()
         while len(self.rows) > 1 and self.size > self.limits.size:
-            rows += self._pop_rows().axis.size
+            lost["rows"] += self._pop_rows().axis.size
         while len(self.notices) > self.limits.notices:
             del self.notices[next((k for k, one in enumerate(self.notices) if not one.urgent), 0)]
-            notices += 1
-        return Lost(rows, notices)
+            lost["notices"] += 1
+        return lost
 
 
 def problem_of(error: Exception) -> str:
@@ -137,7 +135,7 @@ class Queued:
         self._pauses, self._working_since, self._taken_at = pauses(), 0.0, -TUNING.queued_idle
         self._alone = 0  # number of next outcomes that are written one by one
         self._lost = Lost()  # dropped rows and notices without a report
-        self._reported_at = -TUNING.tell_every
+        self._reported_at = -TUNING.longest_pause
         self._refusals: set[str] = set()
         self._trying: float | None = None  # time since which the sink has taken nothing
         self._proved = False  # true if the sink has taken something
@@ -194,15 +192,13 @@ class Queued:
             self._thread.join(within)
         ended = not self._thread.is_alive()
         with self._changed:
-            self._count_lost(Lost(self._waiting.waiting_rows, len(self._waiting.notices)))
+            self._count_lost(Lost(rows=self._waiting.waiting_rows, notices=len(self._waiting.notices)))
         return ended
 
     def _count_lost(self, lost: Lost) -> None:
-        if lost.rows:
-            self._counters.add("pmfid_dropped_rows_total", lost.rows, sink=self.name)
-        if lost.notices:
-            self._counters.add("pmfid_dropped_notices_total", lost.notices, sink=self.name)
-        self._lost = Lost(self._lost.rows + lost.rows, self._lost.notices + lost.notices)
+        for kind, number in lost.items():
+            self._counters.add(f"pmfid_dropped_{kind}_total", number, sink=self.name)
+        self._lost += lost
 
     # --- the sink's thread --------------------------------------------------------------------------------------------
 
@@ -259,11 +255,11 @@ class Queued:
             with self._changed:
                 lost, self._lost = self._lost, Lost()
             recovery = {"event": "sink", "sink": self.name, "works": True}
-            self._tell({**recovery, "lost_rows": lost.rows, "lost_notices": lost.notices})
+            self._tell({**recovery, "lost_rows": lost["rows"], "lost_notices": lost["notices"]})
 
     def _note_failure(self, error: Exception, batch: Sequence[Outcome]) -> None:
         """Report a passing error once. The outcomes wait in front of all others."""
-        if not self._failing and time.monotonic() - self._working_since > TUNING.queued_steady:
+        if not self._failing and time.monotonic() - self._working_since > TUNING.longest_pause:
             self._pauses = pauses()
         self._counters.add("pmfid_sink_errors_total", sink=self.name)
         if self._trying is None:
@@ -289,18 +285,18 @@ class Queued:
         self._alone = max(self._alone - 1, 0)
         self._counters.add("pmfid_refused_total", max(rows_in(batch), 1), sink=self.name)
         problem = problem_of(error)
-        if problem not in self._refusals and len(self._refusals) < TUNING.most_refusals:
+        if problem not in self._refusals and len(self._refusals) < STREAM_TUNING.each_notice:
             self._refusals.add(problem)
             self._tell({"event": "sink", "sink": self.name, "works": True, "problem": f"refused: {problem}"})
 
     def _tell_lost(self) -> None:
         """Report a slow sink. At the end of an error, the report on the error contains its own losses."""
-        if self._failing or not any(self._lost) or time.monotonic() - self._reported_at < TUNING.tell_every:
+        if self._failing or not self._lost or time.monotonic() - self._reported_at < TUNING.longest_pause:
             return
         self._reported_at = time.monotonic()
         with self._changed:
             lost, self._lost = self._lost, Lost()
-        self._tell({"event": "dropped", "sink": self.name, "rows": lost.rows, "notices": lost.notices})
+        self._tell({"event": "dropped", "sink": self.name, "rows": lost["rows"], "notices": lost["notices"]})
 
     def _end(self) -> None:
         try:

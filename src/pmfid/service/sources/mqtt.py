@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from pmfid.service.broker import CONNECTING, BrokerSection, Text, new_client, pauses
-from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
+from pmfid.service.broker import BrokerSection, Text, new_client, pauses
+from pmfid.service.context import Context, FindAxis, SourceSection, Take, Tell
+from pmfid.service.tuning import TUNING
 from pmfid.service.wire.messages import LARGEST, Messages
 from pmfid.stream.delivery import Delivery
 
@@ -91,17 +92,17 @@ class MqttSource:
     _stopped: Event = field(default_factory=Event, init=False)
     _over: Event = field(default_factory=Event, init=False)
     _problem: str = field(default="", init=False)
+    _said: str = field(default="", init=False)
     _failure: BaseException | None = field(default=None, init=False)
     _since: float = field(default=math.inf, init=False)
     _had_session: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self._report = ProblemReport(self.name, self.tell)
         self._messages = Messages(self.axis, self.section.largest)
 
     def run(self, take: Take) -> None:
         """Take messages until `stop`. Raises UsageError for a section that cannot work."""
-        waiting, brief = pauses(CONNECTING), 0
+        waiting, brief = pauses(TUNING.answer), 0
         while not self._stopped.is_set():
             self._since = math.inf
             self._hold_connection(take)
@@ -112,9 +113,9 @@ class MqttSource:
             lasted = time.monotonic() - self._since  # minus infinity without a subscription
             brief = brief + (0 < lasted < _BRIEF) if lasted < _BRIEF else 0
             if lasted > 0 and brief < _TAKEN_OVER:
-                waiting = pauses(CONNECTING)
+                waiting = pauses(TUNING.answer)
             hint = f"; if another service uses the session {self._session!r} too, give each service its own client"
-            self._report.say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
+            self._say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
             self._stopped.wait(next(waiting))
 
     def stop(self) -> None:
@@ -162,7 +163,7 @@ class MqttSource:
             self._end(f"the broker refuses the connection: {reason}")
             return
         if self._had_session and not flags.session_present and self.section.session:
-            self._report.say(
+            self._say(
                 "the broker has lost the session: messages that waited there are lost unless the senders repeat them"
             )
         self._had_session = True
@@ -178,7 +179,7 @@ class MqttSource:
             self._end(f"the broker refuses the topic {refused[0]}")
         else:
             self.subscribed, self._since = True, time.monotonic()
-            self._report.say("")
+            self._say("")
 
     def _on_disconnect(
         self, client: Client, _: object, flags: DisconnectFlags, reason: ReasonCode, properties: Properties | None
@@ -209,6 +210,12 @@ class MqttSource:
     @property
     def _session(self) -> str:
         return self.section.client or self.client
+
+    def _say(self, problem: str) -> None:
+        """Report a problem once, and its end as ""."""
+        if problem != self._said:
+            self._said = problem
+            self.tell({"event": "source", "source": self.name, "problem": problem})
 
     def _end(self, problem: str) -> None:
         """End the connection. The first problem is reported."""

@@ -19,12 +19,12 @@ from pydantic import Field
 from pmfid.config.axis import Axis
 from pmfid.config.model import Name
 from pmfid.errors import UsageError
-from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
-from pmfid.service.tuning import TUNING
+from pmfid.service.context import Context, Source, SourceSection, Take
 from pmfid.service.wire.messages import LineSplitter, Messages
 from pmfid.stream.delivery import Delivery, Item, Lines
 from pmfid.stream.lines import Beginning, LineParser
 from pmfid.stream.timeline import Line
+from pmfid.stream.tuning import TUNING
 
 
 class StdinSource(SourceSection):
@@ -103,10 +103,10 @@ class Piped:
         try:
             number = self.stream.fileno()
         except OSError:  # a stream in this process has no number
-            return self.stream.read(CHUNK)
-        if not select.select([number], [], [], TUNING.stdin_look)[0]:
+            return self.stream.read(TUNING.longest_line)
+        if not select.select([number], [], [], TUNING.engine_idle)[0]:
             return None
-        return os.read(number, CHUNK)
+        return os.read(number, TUNING.longest_line)
 
     def stop(self) -> None:
         self._stop.set()

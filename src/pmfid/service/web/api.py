@@ -229,7 +229,7 @@ def csv_of(record: Record) -> bytes:
 
     A long record is cut to its beginning, because a comparison needs every sample.
     """
-    n = min(record.u.size, TUNING.api_rows)
+    n = min(record.u.size, TUNING.board_rows)
     table = np.column_stack([record.dt * np.arange(n), record.u[:n], record.counts[:n]])
     text = io.StringIO()
     np.savetxt(text, table, fmt=["%.9g", "%.9g", "%d"], delimiter=",", header="t,u,counts", comments="")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import AlarmRecord, Alarms, EstimateRows, Kindred, Notice
+from pmfid.stream.tuning import TUNING as STREAM_TUNING
 from pmfid.types import Floats
 
 #: Rows as an array of `row_type`.
@@ -63,7 +64,7 @@ class Panel:
     def __post_init__(self) -> None:
         k = len(self.group.axes)
         self.interval = max(TUNING.panel_finest, TUNING.panel_rows * self.every, TUNING.panel_rows * self.group.dt)
-        self.depth = min(max(self.depth, TUNING.panel_fewest), TUNING.panel_most)
+        self.depth = min(max(self.depth, TUNING.panel_fewest), TUNING.board_rows)
         self.place = {name: i for i, name in enumerate(self.group.axes)}
         self.nominal = np.tile(np.asarray(self.group.nominal, float), (k, 1))
         self.last: Records = np.zeros(k, row_type(len(self.group.names)))
@@ -228,7 +229,7 @@ class Followed:
         if last.dtype != rows.dtype or (last.size and rows["number"][0] <= last["number"][-1]):
             self.pieces.clear()
         self.pieces.append(rows)
-        while len(self.pieces) > 1 and sum(piece.size for piece in self.pieces) > TUNING.board_waiting:
+        while len(self.pieces) > 1 and sum(piece.size for piece in self.pieces) > TUNING.board_rows:
             self.pieces.popleft()
 
 
@@ -247,8 +248,10 @@ class Board:
         self._version, self._layout = 0, 0
         self._panels: list[Panel] = []
         self._alarms = Alarms()
-        self._notices: deque[tuple[int, Notice]] = deque(maxlen=TUNING.board_notices)
-        self._changed: deque[tuple[int, int]] = deque(maxlen=TUNING.board_notices)  # version, and number of an alarm
+        self._notices: deque[tuple[int, Notice]] = deque(maxlen=STREAM_TUNING.outcome_most)
+        self._changed: deque[tuple[int, int]] = deque(
+            maxlen=STREAM_TUNING.outcome_most
+        )  # version, and number of an alarm
         self._followed: dict[str, Followed] = {}
         self.arrange(groups)
 

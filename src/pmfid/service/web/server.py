@@ -74,7 +74,7 @@ class Page:
     def stop(self) -> None:
         """End the thread, within seconds. This method may be called twice."""
         self._server.should_exit = True
-        self._thread.join(TUNING.server_ended)
+        self._thread.join(TUNING.answer)
 
 
 def serve(
@@ -104,7 +104,7 @@ def serve(
     server = _server(make_app(api, hosts_of(config.address, port, config.hosts), token))
     thread = Thread(target=lambda: server.run([listener]), name="page", daemon=True)
     thread.start()
-    end = time.monotonic() + TUNING.server_started
+    end = time.monotonic() + TUNING.answer
     while not server.started and thread.is_alive() and time.monotonic() < end:
         time.sleep(0.01)
     if not server.started:
@@ -117,7 +117,7 @@ def serve(
 def _listener(config: PageConfig) -> socket.socket:
     family = socket.AF_INET6 if ":" in config.address else socket.AF_INET
     try:
-        return socket.create_server((config.address, config.port), family=family, backlog=TUNING.server_backlog)
+        return socket.create_server((config.address, config.port), family=family)
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(
