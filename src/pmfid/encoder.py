@@ -19,8 +19,6 @@ EXAMPLES = {"resolution": "0.01 deg", "max_speed": "3000 rpm"}
 #: 10, the tracker follows a piecewise constant acceleration within a sample. The chosen value still damps the staircase
 #: of two counts.
 TRACKING_INDEX = 10.0
-#: Limit of counts. Neighbouring integers beyond it share one double, so that a count would be silently wrong.
-COUNT_LIMIT = 2**53
 
 
 @dataclass(frozen=True)

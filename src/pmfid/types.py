@@ -15,3 +15,5 @@ Counts = NDArray[np.int64]
 Places = NDArray[np.int64]
 #: Real numbers of any integer or floating-point type.
 Numbers = NDArray[np.integer | np.floating]
+#: Limit of counts. Neighbouring integers beyond it share one double, so that a count would be silently wrong.
+COUNT_LIMIT = 2**53

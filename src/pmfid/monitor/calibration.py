@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid._stage import centred, weights
-from pmfid.encoder import COUNT_LIMIT, quantize
+from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.fit.free_motion import simulate_from_rest
@@ -26,7 +26,7 @@ from pmfid.monitor.scores import (
 )
 from pmfid.monitor.tuning import TUNING
 from pmfid.monitor.warmth import Warmth, find_warmth
-from pmfid.types import Counts, Floats
+from pmfid.types import COUNT_LIMIT, Counts, Floats
 
 #: Lengths of compared sums [blocks], up to the window of the detectors.
 LENGTHS = tuple((2 ** np.arange(WINDOW.bit_length())).tolist())

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.config.record import RecordConfig
-from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError
 from pmfid.records.clock import LARGEST_NUMBER, MIN_SAMPLES, time_factor
-from pmfid.types import Counts, Flags, Floats
+from pmfid.types import COUNT_LIMIT, Counts, Flags, Floats
 from pmfid.units import OUTPUTS, Quantity, column_unit
 
 if TYPE_CHECKING:

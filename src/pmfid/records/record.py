@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
-from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError
 from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.io.csv_text import Stated
@@ -36,7 +35,7 @@ from pmfid.records.instants import Instants, find_instants, integrate_stamps
 from pmfid.records.repeats import miss_stale_rows
 from pmfid.records.topics import join_topics
 from pmfid.records.travel import measure_travel
-from pmfid.types import Counts, Flags, Floats
+from pmfid.types import COUNT_LIMIT, Counts, Flags, Floats
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis

@@ -6,9 +6,8 @@ from math import isfinite
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.encoder import COUNT_LIMIT
 from pmfid.simulation._plant import read_encoder
-from pmfid.types import Counts, Floats
+from pmfid.types import COUNT_LIMIT, Counts, Floats
 
 
 def check_number(name: str, value: float, *, above: float = -np.inf, remedy: str = "pass a finite number") -> None:

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError
 from pmfid.stream.delivery import Block, Table, Unusable
 from pmfid.stream.lines import MOST_TIME
-from pmfid.types import Counts, Flags, Floats
+from pmfid.types import COUNT_LIMIT, Counts, Flags, Floats
 
 #: Blocks of version 1 have u and counts, blocks of version 2 also the ages of edges.
 MAGIC, PLAIN = b"PMFB", 1

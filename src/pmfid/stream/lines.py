@@ -10,7 +10,6 @@ from typing import TypeGuard
 
 from pmfid.config.axis import Axis
 from pmfid.config.record import Sections, conversion
-from pmfid.encoder import COUNT_LIMIT
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.io.csv_text import SEPARATORS, are_units, is_data, split
 from pmfid.io.tables import whole_name
@@ -19,6 +18,7 @@ from pmfid.records.clock import time_factor
 from pmfid.records.edge_ages import age_factor
 from pmfid.stream.timeline import Line
 from pmfid.stream.tuning import TUNING
+from pmfid.types import COUNT_LIMIT
 
 #: Largest time stamp [s]. The limit allows a stamp in ns by mistake, and keeps its number of samples finite.
 MOST_TIME = 1e30
