@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from itertools import cycle
+from html import escape
+from itertools import cycle, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +16,13 @@ from pmfid.fleet.history import History
 from pmfid.fleet.source import SECONDS
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
 from pmfid.fleet.verdicts import when, with_error
-from pmfid.report.figures import COLOURS, FIGURES_POINTS, open_figure
+from pmfid.report.figures import COLOURS, FIGURES_PHONE, FIGURES_POINTS, FIGURES_WIDTH, open_figure
 from pmfid.report.html import HTML_LONG, write_page
 from pmfid.report.page import Cell, ResultPage, Section, Table
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import polars as pl
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 #: Numbers of drawn trends, and of quiet rows for comparison in the map.
@@ -103,37 +103,53 @@ def trend_figure(found: History) -> Figure:
 
 
 def label_of(axis: str) -> str:
-    """Return a short name for a figure, without control characters and formulas."""
-    text = printable(axis).replace("\n", " ").replace("$", r"\$")
+    """Return a short name for a figure, without control characters."""
+    text = printable(axis).replace("\n", " ")
     return text if len(text) <= HTML_LONG else f"{text[: HTML_LONG - 1]}…"
 
 
-def map_figure(found: History) -> Figure:
-    """Draw a map of axes by periods, with changes, doubtful periods, and periods without an estimate."""
-    from matplotlib.colors import BoundaryNorm, ListedColormap
-    from matplotlib.patches import Patch
+def map_figure(found: History) -> str:
+    """Draw a map of axes by periods, with changes, doubtful periods, and periods without an estimate.
 
+    The result has two <svg> elements for HTML, the second one for a phone.
+    """
     order = _order(found)
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
     shown = found.periods.filter(found.periods["axis"].is_in(order))
     edges = times[:: -(-times.size // FIGURES_POINTS)]
     grid = np.full((len(order), edges.size), len(MAP) - 1)
-    levels = {name: level for level, name in enumerate(MAP)}
     for axis, period, quality, findings in shown.select("axis", "period", "quality", "findings").iter_rows():
         column = max(0, int(np.searchsorted(edges, period, "right")) - 1) if period == period else 0
-        level = levels["change" if "changed" in findings.split() else "no estimate" if quality == "none" else quality]
-        grid[place[axis], column] = min(level, grid[place[axis], column])
-    with open_figure(1.2 + 0.14 * max(8, len(order))) as (figure, (axes,)):
-        norm = BoundaryNorm(np.arange(len(MAP) + 1) - 0.5, len(MAP))
-        axes.imshow(grid, cmap=ListedColormap(list(MAP.values())), norm=norm, aspect="auto", interpolation="nearest")
-        _labels(axes, found, order, edges)
-        figure.legend(
-            handles=[Patch(color=colour, label=name) for name, colour in MAP.items()],
-            loc="outside lower center",
-            ncols=5,
-        )
-    return figure
+        level = "change" if "changed" in findings.split() else "no estimate" if quality == "none" else quality
+        grid[place[axis], column] = min([*MAP].index(level), grid[place[axis], column])
+    kinds = dict(found.axes.select("axis", "kind").iter_rows())
+    names = [(escape(label_of(axis)), KINDS.get(kinds[axis], "black")) for axis in order]
+    columns = np.arange(0, edges.size, -(-edges.size // 6))
+    ticks = dict(zip(columns.tolist(), ticks_of(edges[columns]), strict=True))
+    return "\n".join(_draw_map(grid.tolist(), names, ticks, 72 * width) for width in (FIGURES_WIDTH, FIGURES_PHONE))
+
+
+def _draw_map(grid: list[list[int]], names: list[tuple[str, str]], ticks: dict[int, str], width: float) -> str:
+    """Return rows of levels as an <svg> of `width` points, with names and their colours, and texts below columns."""
+    left, high, below = 8 + 5 * max(len(name) for name, _ in names), 12, 12 * len(grid)
+    wide, part, drawn = (width - left) / len(grid[0]), width / len(MAP), list[str]()
+    box, text = '<rect x="{:.1f}" y="{}" width="{:.1f}" height="11" fill="{}"/>', '<text x="{:.1f}" y="{}">{}</text>'
+    for y, ((name, colour), levels) in enumerate(zip(names, grid, strict=True)):
+        style = f'text-anchor="end" fill="{colour}" font-weight="{"normal" if colour == "black" else "bold"}"'
+        drawn.append(f'<text x="{left - 4}" y="{high * y + 9}" {style}>{name}</text>')
+        x = 0
+        for level, run in groupby(levels):
+            span = len(list(run))
+            drawn.append(box.format(left + wide * x, high * y, wide * span, [*MAP.values()][level]))
+            x += span
+    for x, stamp in ticks.items():
+        drawn += [text.format(left + wide * x, below + high * k, line) for k, line in enumerate(stamp.split("\n"), 1)]
+    for k, (name, colour) in enumerate(MAP.items()):
+        drawn.append(box.format(part * k, below + 3 * high, high - 4, colour))
+        drawn.append(text.format(part * k + high - 1, below + 3 * high + 9, name))
+    size = f'viewBox="0 0 {width:g} {below + 4 * high}" font-size="8" font-family="sans-serif"'
+    return f"<svg {size}>{''.join(drawn)}</svg>"
 
 
 def _order(found: History) -> list[str]:
@@ -144,17 +160,6 @@ def _order(found: History) -> list[str]:
     ranked = sorted((kind == "", -doubts.get(axis, 0) if kind == "" else 0, k, axis) for k, (axis, kind) in rows)
     notable = sum(not quiet or doubts < 0 for quiet, doubts, *_ in ranked)
     return [axis for *_, axis in ranked][: min(FLEET_LISTED, notable + FLEET_QUIET)]
-
-
-def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> None:
-    axes.set_yticks(range(len(order)), [label_of(axis) for axis in order], fontsize=7)
-    columns = np.arange(0, edges.size, -(-edges.size // 6))
-    axes.set_xticks(list(columns), ticks_of(edges[columns]))
-    kinds = dict(found.axes.select("axis", "kind").iter_rows())
-    for label, axis in zip(axes.get_yticklabels(), order, strict=True):
-        label.set_color(KINDS.get(kinds[axis], "black"))
-        label.set_fontweight("bold" if kinds[axis] in KINDS else "normal")
-    axes.grid(visible=False)
 
 
 def write_fleet(out: Path, found: History, name: str) -> None:
@@ -196,7 +201,7 @@ def _attention(found: History) -> Section:
 
 def _besides(found: History) -> str:
     """Return sentences on everything that the table of axes with need of attention leaves out."""
-    unknown, wander = found.unknown.height, _kind(found, "wanders").height
+    unknown, wander = found.unknown.height, int((found.axes["kind"] == "wanders").sum())
     files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
     text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""
     text += f"\n\n{_many(files['file'].n_unique(), 'file', 'files')} could not be read." if files.height else ""
@@ -206,19 +211,14 @@ def _besides(found: History) -> str:
             f"\n\n{_many(alone, 'axis is', 'axes are')} of a type with fewer than {FLEET_TUNING.verdicts_sure}, too "
             "few to show what is usual, and compared only with their own past."
         )
-    for part, reason in (
-        found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
-    ):
+    several = found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text")
+    for part, reason in several.iter_rows():
         text += f"\n\n{part[:1].upper() + part[1:]}: {reason}."
     return text + (f"\n\n{_many(wander, 'axis wanders', 'axes wander')}, which needs no action." if wander else "")
 
 
 def _many(number: int, one: str, more: str) -> str:
     return f"{number} {one if number == 1 else more}"
-
-
-def _kind(found: History, kind: str) -> pl.DataFrame:
-    return found.axes.filter(found.axes["kind"] == kind)
 
 
 def _unknown(found: History) -> Section | None:
@@ -228,9 +228,8 @@ def _unknown(found: History) -> Section | None:
     if not found.unknown.height:
         return None
     findings = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
-    rows: list[list[Cell]] = [
-        [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(FLEET_LISTED)
-    ]
+    axes = found.unknown["axis"].head(FLEET_LISTED)
+    rows: list[list[Cell]] = [[axis, _words(findings.get(axis, ""))] for axis in axes]
     text = (
         "The state of these axes is not known. They stand still, their counts or input do not reach the log, or their "
         "records are too short or damaged."
@@ -247,7 +246,7 @@ def _first(shown: int, all_of_them: int, file: str = "axes") -> str:
 
 
 def _wandering(found: History) -> Section | None:
-    wander = _kind(found, "wanders")
+    wander = found.axes.filter(found.axes["kind"] == "wanders")
     if not wander.height:
         return None
     text = (

@@ -20,16 +20,16 @@ class Section:
     """A part of a page.
 
     `heading` and `text` are plain text, in which an empty line starts a new paragraph. `table` has a header and rows.
-    Numbers have 4 digits, and text is unchanged. `figure` draws the figure, which only an HTML page has. If `first` is
-    set, the figure stands above text and table, otherwise below. `code` has the lines of a file, which are shown
-    unchanged. A `folded` section shows its heading alone until the reader opens it. Raises UsageError if the number of
-    cells in a row differs from the header.
+    Numbers have 4 digits, and text is unchanged. `figure` draws the figure, for matplotlib or as <svg>, which only an
+    HTML page has. If `first` is set, the figure stands above text and table, otherwise below. `code` has the lines of a
+    file, which are shown unchanged. A `folded` section shows its heading alone until the reader opens it. Raises
+    UsageError if the number of cells in a row differs from the header.
     """
 
     heading: str
     text: str = ""
     table: Table | None = None
-    figure: Callable[[], Figure] | None = None
+    figure: Callable[[], Figure | str] | None = None
     code: str = ""
     first: bool = False
     folded: bool = False
