@@ -80,8 +80,9 @@ NOTHING = Stated()
 def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
     """Return the layout of the first lines of a file. Raises UsageError if they are no table with the stated layout."""
     looked = lines[:LOOKED_AT]
-    readings = product(stated.separator or SEPARATORS, stated.decimal or ".,")
-    found = {reading: rows for reading in readings if (rows := _data(looked, *reading))}
+    rows = {mark: list(_fields(looked, mark)) for mark in stated.separator or _find_separators(looked)}
+    readings = product(rows, stated.decimal or ".,")
+    found = {(mark, decimal): kept for mark, decimal in readings if (kept := _data(rows[mark], decimal))}
     if not found and sum(bool(line.strip()) for line in looked) == 1:
         return _empty(looked)
     if not found:
@@ -101,6 +102,15 @@ def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
     if not named and len(fields) > 1 and fields in ([str(k + start) for k in range(len(fields))] for start in (0, 1)):
         return Layout(separator, decimal, tuple(fields), first + 1, True, numbers)
     return Layout(separator, decimal, names, first, named, numbers)
+
+
+def _find_separators(lines: Sequence[str]) -> list[str]:
+    """Return the separators in the lines, and the first of the others, because all others give the same fields."""
+    found = [
+        mark for mark in SEPARATORS if any(mark in line if mark != " " else len(line.split()) > 1 for line in lines)
+    ]
+    other = next((mark for mark in SEPARATORS if mark not in found), None)
+    return [mark for mark in SEPARATORS if mark in found or mark == other]
 
 
 def _empty(lines: Sequence[str]) -> Layout:
@@ -128,11 +138,11 @@ def _worth(rows: Sequence[Sequence[str]], decimal: str) -> tuple[bool, float, in
     return len(rows[0]) > 1, known / len(fields), len(rows)
 
 
-def _data(lines: Sequence[str], separator: str, decimal: str) -> list[int]:
+def _data(rows: Sequence[tuple[int, list[str]]], decimal: str) -> list[int]:
     """Return the lines of data: most of their fields are numbers, and their number of fields is the most frequent
     one.
     """
-    sized = [(k, len(fields)) for k, fields in _fields(lines, separator) if _numeric(fields, decimal)]
+    sized = [(k, len(fields)) for k, fields in rows if _numeric(fields, decimal)]
     if not sized:
         return []
     usual = Counter(count for _, count in sized).most_common(1)[0][0]
@@ -153,7 +163,7 @@ def _numeric(fields: Sequence[str], decimal: str) -> bool:
     words = [field for field in fields if not _is_data_field(field, decimal)]
     if len(words) > 1 and set(words) == {fields[0]}:
         return False
-    known = sum(_is_data_field(field, decimal) for field in fields)
+    known = len(fields) - len(words)
     return any(_NUMBER[decimal].fullmatch(field) for field in fields) and 100 * known >= NUMBERS * len(fields)
 
 
