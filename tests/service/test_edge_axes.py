@@ -130,7 +130,7 @@ def test_blocks_without_ages_are_refused_in_one_sentence(edge_axis: Prepared, mo
     plain = [encode(Block(name, 0, 0, 0.0, CART_DT, *(part[:40] for part in motion[:2]))) for name in ("x1", "x2") * 4]
     outlet, said = Collected(), list[dict[str, object]]()
     engine = StreamEngine(Counters(), [outlet])
-    engine.set_groups(arrange_groups([], dict.fromkeys(("x1", "x2"), edge_axis), Pace())[0])
+    engine.set_groups(arrange_groups([], dict.fromkeys(("x1", "x2"), edge_axis), Pace(0.5, 1.0))[0])
     engine.tell = lambda what, axis="": said.append(what)  # type: ignore[method-assign]
     items = list(Messages({}.get).items(b"".join(plain)))
     engine.process([Delivery("hall", items)])

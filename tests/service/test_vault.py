@@ -183,7 +183,7 @@ def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) ->
 
 def _restored(body: bytes, prepared: Prepared) -> None:
     for one in read_snapshot(body).groups:
-        one.restore_group(prepared, Pace())
+        one.restore_group(prepared, Pace(0.5, 1.0))
 
 
 class Broken:
@@ -254,4 +254,4 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared,
     vault.close()
     assert found is not None
     assert [one.number for one in found.alarms] == [1, 2]
-    assert found.groups[0].restore_group(prepared, Pace()).numbers.tolist() == [40, 0]
+    assert found.groups[0].restore_group(prepared, Pace(0.5, 1.0)).numbers.tolist() == [40, 0]

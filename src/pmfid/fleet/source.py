@@ -166,11 +166,11 @@ class SourceColumns:
     time: str
     input: str
     output: str
-    mask: str | None = None
-    type: str | None = None
-    factor: float = 1.0
-    age: str | None = None
-    temperature: str | None = None
+    mask: str | None
+    type: str | None
+    factor: float
+    age: str | None
+    temperature: str | None
 
     @classmethod
     def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> SourceColumns:

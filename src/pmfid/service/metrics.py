@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
@@ -66,18 +65,11 @@ class _Counted(Collector):
     def collect(self) -> Iterable[Metric]:
         families: dict[str, Metric] = {}
         for (name, labels), value in sorted(self._counters.values().items()):
-            name = _legal(name)
             if name not in families:
                 words = HELP.get(name, f"{name.removeprefix('pmfid_').replace('_', ' ').capitalize()}.")
                 kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
                 families[name] = kind(name, words)
             # A lone surrogate, as in the name of a file, is no UTF-8.
-            texts = {_legal(label): text.encode("utf-8", "replace").decode() for label, text in labels}
+            texts = {label: text.encode("utf-8", "replace").decode() for label, text in labels}
             families[name].add_sample(name, texts, value)
         return families.values()
-
-
-def _legal(name: str) -> str:
-    """Return a name with only letters, digits and underscores, which does not begin with a digit."""
-    legal = re.sub(r"[^a-zA-Z0-9_]", "_", name)
-    return f"_{legal}" if legal[:1].isdigit() or not legal else legal

@@ -224,8 +224,8 @@ class Pace:
     gives all rows.
     """
 
-    window: float = 0.5
-    every: float = 1.0
+    window: float
+    every: float
 
 
 class Seat:

@@ -59,7 +59,7 @@ class Panel:
 
     group: Kindred
     depth: int
-    every: float = 1.0
+    every: float
 
     def __post_init__(self) -> None:
         k = len(self.group.axes)
