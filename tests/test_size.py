@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 63666,
-    "lines of code in src": 37150,
+    "lines of src": 63586,
+    "lines of code in src": 37104,
     "lines of code in report and cli": 2891,
-    "thresholds in src": 887,
+    "thresholds in src": 836,
     "lines of csrc": 8753,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
-    "lines of tests": 27667,
+    "lines of tests": 27665,
     "match= in tests": 24,
     "lines of studies": 8147,
 }
