@@ -230,7 +230,7 @@ def test_friction_that_rises_smoothly_from_rest_is_named_with_its_speed() -> Non
     counts = np.floor(np.array(y) / 1e-5 + 0.4).astype(np.int64)
     result = pmfid.identify(u, counts, model=pmfid.Drive(1.0), encoder=pmfid.Encoder(1e-5), dt=step)
     np.testing.assert_allclose(result.theta, [mass, viscous, coulomb], rtol=1e-3)
-    assert any("smoothly from rest, with a speed of 0.05 m/s" in one.sentence for one in result.findings)
+    assert any("smoothly from rest as tanh(v / (0.05 m/s))" in one.sentence for one in result.findings)
 
 
 def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:

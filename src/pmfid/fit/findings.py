@@ -16,8 +16,8 @@ from pmfid.fit.terms import ExtraForce
 from pmfid.models.axes import rotary
 from pmfid.types import Flags, Floats
 
-#: Status words of candidates that have a word of their own; all others are "unmodelled".
-OWN_WORDS = {"dead_time": "dead_time", "lag": "dead_time"}
+#: Codes of candidates that have a code of their own; all others are "unmodelled".
+CODES = {"dead_time": "dead_time", "lag": "dead_time", "smooth": "friction"}
 
 
 def findings_of(
@@ -53,7 +53,8 @@ def findings_of(
 
 
 def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float) -> Iterator[Finding]:
-    """Yield a finding for each force that the comparison added. It matters if the parameters without it are wrong."""
+    """Yield a finding for each force that the comparison added. It matters if the parameters without it are wrong.
+    Smooth friction is a note, because the parameters are those of Coulomb friction beyond its speed."""
     moved = np.abs(fitted.plain - fitted.theta) / sizes
     worst = int(np.argmax(moved))
     matters = bool(moved[worst] > tolerance)
@@ -69,10 +70,10 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
         shown = one.describe(size * one.sd)
         detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
-            OWN_WORDS.get(one.name, "unmodelled"),
+            CODES.get(one.name, "unmodelled"),
             f"the record shows {shown.words}{_describe_speed(fitted, one, constants)}{_describe_size(fitted, one)}",
             shown.remedy,
-            "doubt" if matters else "note",
+            "doubt" if matters and one.name != "smooth" else "note",
             detail,
         )
 
@@ -81,8 +82,8 @@ def _describe_speed(fitted: Fitted, one: ExtraForce, constants: Sequence[float])
     """Return the speed of a friction that depends on one, from the constant in units of its first value."""
     if one.name not in ("stribeck", "smooth") or not constants:
         return ""
-    unit = "rad/s" if fitted.problem.machine.turn > 0 else "m/s"
-    return f", with a speed of {constants[0] * one.constant:.3g} {unit}"
+    speed = f"{constants[0] * one.constant:.3g} {'rad/s' if fitted.problem.machine.turn > 0 else 'm/s'}"
+    return f", with a speed of {speed}" if one.name == "stribeck" else f" as tanh(v / ({speed}))"
 
 
 def _describe_size(fitted: Fitted, one: ExtraForce) -> str:

@@ -173,14 +173,11 @@ def stribeck(s: Sizes) -> Iterator[ExtraForce]:
         yield ExtraForce("stribeck", "Stribeck friction", remedy, 0.4 * s.coulomb, force=force, lowest=0.0)
 
 
-TANH = "the parameters include this friction: simulate the axis with tanh(v / speed) in place of sign(v)"
-
-
 def smooth(s: Sizes) -> Iterator[ExtraForce]:
-    """Yield what friction in proportion to tanh(v / p) has less than Coulomb friction."""
+    """Yield what friction in proportion to tanh(v / p) has less than Coulomb friction. No key of [model] sets it."""
     for share in (0.003, 0.015, 0.07, 0.25):
         force = BodyForce("smooth", share * s.speed)
-        yield ExtraForce("smooth", "friction that rises smoothly from rest", TANH, s.coulomb, force=force, lowest=0.0)
+        yield ExtraForce("smooth", "friction that rises smoothly from rest", "", s.coulomb, force=force, lowest=0.0)
 
 
 def quadratic(s: Sizes) -> Iterator[ExtraForce]:
