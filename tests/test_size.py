@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 63586,
-    "lines of code in src": 37104,
+    "lines of src": 63584,
+    "lines of code in src": 37103,
     "lines of code in report and cli": 2891,
     "thresholds in src": 836,
     "lines of csrc": 8753,
