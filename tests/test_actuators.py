@@ -9,7 +9,9 @@ import pytest
 
 from pmfid._body import BASE, KINDS, run
 from pmfid.actuators import JointLog, Servo, ServoFit, fit_logs, fit_servo, simulate_servo
+from pmfid.actuators.search import ServoSearch, ServoTask
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.search import errors_of
 from pmfid.types import Floats
 from studies.servo_truth import TrueServo, simulate_servos
 from tests.conftest import long_unless
@@ -52,8 +54,7 @@ def make_log(
     steps = rng.uniform(-0.5, 0.5, t.size // 40 + 1).repeat(40)[: t.size]
     goal = np.where(t < time / 2, steps, 0.4 * np.sin(5 * t) + 0.2 * np.sin(13 * t))
     position = simulate_by_small_steps({**TRUTH, **changes}, np.append(t, time), np.append(goal, goal[-1]), step)
-    every = round(period / 1e-3)
-    return t, goal, step * np.floor(position[::every] / step + 0.5)
+    return t, goal, step * np.floor(position[:: round(period / 1e-3)] / step + 0.5)
 
 
 def test_derivatives_are_those_of_the_simulated_motion() -> None:
@@ -86,8 +87,7 @@ def test_derivatives_are_those_of_the_simulated_motion() -> None:
 def test_a_controller_that_is_off_moves_nothing() -> None:
     theta = np.array([0.01, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 1e9, 1e-3])
     step, rows = np.full(50, 0.01), np.arange(51, dtype=np.int32)
-    on = np.r_[np.zeros(25), np.ones(25)]
-    y, _, _, _ = run([], step, np.ones(50), rows, np.zeros((0, 50)), theta, 1, None, 1e-3, on)
+    y, _, _, _ = run([], step, np.ones(50), rows, np.zeros((0, 50)), theta, 1, None, 1e-3, np.repeat([0.0, 1.0], 25))
     assert not y[:26].any()
     assert y[-1] > 0.5
 
@@ -198,13 +198,26 @@ def test_a_log_that_polls_has_early_goals_and_inexact_stamps() -> None:
 
 
 @pytest.mark.parametrize(("code", "late", "stop"), [("early_goals", 3, 1e9), ("stops", 0, 0.2)])
-def test_goals_with_the_stamps_of_later_rows_and_stops_leave_the_values_right(
-    code: str, late: int, stop: float
-) -> None:
+def test_stamps_of_later_rows_and_stops_leave_the_values_right(code: str, late: int, stop: float) -> None:
     t, goal, position = make_log(kd=0.0, gravity=0.0, stop=stop)
     fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0}), t[late:], goal[: t.size - late], position[late:])
     check_estimates(fit, 0.01, delay=0.01 * (1 - late))
     assert code in {finding.code for finding in fit.findings}
+
+
+def test_half_of_the_friction_may_move_into_the_loop() -> None:
+    """Slow motion stays as it was, because the inertia holds the friction of the loop times its lag."""
+    servo, (t, goal, _) = Servo(STEP, {"kp": 8.0}), make_log()
+    y = simulate_servo(servo, np.array([0.01, 0.2, 0.05, 0.01]), t, goal, 0.0)
+    task = ServoTask(servo, [JointLog("joint", t, goal, y, STEP)], (), 1)
+    problem = task.problem()
+    q = problem.start(np.array([0.01, 0.2, 0.05, 0.01 + task.lead, 0.0]))
+    search = ServoSearch(task, problem, q, problem.first_starts(), True)
+    search.set_lag(4e-3, half=True)
+    moved = np.std(errors_of(search)[0])
+    assert search.q[1] == pytest.approx(0.1, rel=0.02)
+    search.q[0] = q[0]
+    assert moved < 0.3 * np.std(errors_of(search)[0])
 
 
 def test_logs_of_one_servo_share_their_parameters() -> None:

@@ -14,9 +14,9 @@ from click.testing import CliRunner, Result
 
 from pmfid.actuators.logs import LogLayout, read_joints
 from pmfid.cli.main import main
-from pmfid.errors import UsageError
 from pmfid.io.tables import ClockedSignals, Signal
 from pmfid.types import Floats
+from tests.refusals import refused
 from tests.test_actuators import STEP, TRUTH, make_log
 
 
@@ -73,9 +73,7 @@ def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) ->
         (["--resolution", "nan"], 2, "must be positive"),
     ],
 )
-def test_a_log_that_no_fit_can_use_has_one_line_with_a_remedy(
-    arm: Path, words: list[str], code: int, message: str
-) -> None:
+def test_a_log_of_no_use_has_one_line_with_a_remedy(arm: Path, words: list[str], code: int, message: str) -> None:
     result = call(arm, *words)
     assert (result.exit_code, result.stderr.count("\n")) == (code, 1)
     assert message in result.stderr
@@ -94,8 +92,7 @@ def test_a_log_of_bam_states_its_pendulum(tmp_path: Path) -> None:
     assert log.on.sum() == 60
     assert "the torque is off in 39 rows, in which the joint moves freely" in log.notes
     (tmp_path / "log.json").write_text('{"a": 1}')
-    with pytest.raises(UsageError, match="no log of BAM"):
-        read_joints(tmp_path / "log.json", LogLayout())
+    refused(("no log of BAM", lambda: read_joints(tmp_path / "log.json", LogLayout())))
 
 
 @pytest.mark.parametrize("names", [["pan.pos", "lift.pos"], {"motors": ["pan", "lift"]}])
@@ -116,10 +113,8 @@ def test_an_episode_of_a_data_set_of_lerobot(names: object, tmp_path: Path) -> N
     assert logs[0].t == pytest.approx(np.arange(50) / 30)
     (first, _) = read_joints(tmp_path, LogLayout(unit="rad", resolution=STEP, episode=0))
     assert first.goal == pytest.approx(number[:30])
-    with pytest.raises(UsageError, match="does not state its unit"):
-        read_joints(tmp_path, LogLayout(resolution=STEP))
-    with pytest.raises(UsageError, match="no episode 7"):
-        read_joints(tmp_path, LogLayout(unit="rad", resolution=STEP, episode=7))
+    refused(("does not state its unit", lambda: read_joints(tmp_path, LogLayout(resolution=STEP))))
+    refused(("no episode 7", lambda: read_joints(tmp_path, LogLayout(unit="rad", resolution=STEP, episode=7))))
 
 
 def test_a_folder_of_sage_has_a_clock_for_commands_and_one_for_states(tmp_path: Path) -> None:
@@ -134,8 +129,7 @@ def test_a_folder_of_sage_has_a_clock_for_commands_and_one_for_states(tmp_path: 
     assert knee.goal == pytest.approx(-np.arange(99.0))
     assert hip.position == pytest.approx(np.arange(99) + 0.5)
     (tmp_path / "state_motor.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(UsageError, match="no folder of SAGE"):
-        read_joints(tmp_path, LogLayout(resolution=STEP))
+    refused(("no folder of SAGE", lambda: read_joints(tmp_path, LogLayout(resolution=STEP))))
 
 
 # --- checks of a log --------------------------------------------------------------------------------------------------
@@ -144,9 +138,8 @@ def test_a_folder_of_sage_has_a_clock_for_commands_and_one_for_states(tmp_path: 
 def test_a_joint_at_rest_or_without_an_encoder_step_does_not_stop_the_others(tmp_path: Path) -> None:
     t, goal, position = make_log(1, gravity=0.0, kd=0.0)
     smooth = position + np.random.default_rng(0).normal(0, 1e-4, t.size)
-    pl.DataFrame({"t": t, "goal_1": goal, "position_1": smooth, "goal_2": 0 * t, "position_2": 0 * t + 0.3}).write_csv(
-        tmp_path / "arm.csv"
-    )
+    columns = {"t": t, "goal_1": goal, "position_1": smooth, "goal_2": 0 * t, "position_2": 0 * t + 0.3}
+    pl.DataFrame(columns).write_csv(tmp_path / "arm.csv")
     result = call(tmp_path / "arm.csv", "--given", "1.kp=8", "--given", "1.kd=0", "--no-search")
     assert result.exit_code == 0
     assert "inertia" in result.stdout
@@ -167,14 +160,10 @@ def test_two_logs_are_fitted_at_once_and_a_parameter_may_differ(tmp_path: Path) 
         assert found["parameters"][name]["value"] == pytest.approx(gain, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    "encode",
-    [
-        lambda n: np.where(n < 0, 2**15 - n, n),  # Feetech
-        lambda n: np.where(n < 0, n + 2**32, n),  # Dynamixel
-        lambda n: n,
-    ],
-)
+FEETECH, DYNAMIXEL = lambda n: np.where(n < 0, 2**15 - n, n), lambda n: np.where(n < 0, n + 2**32, n)
+
+
+@pytest.mark.parametrize("encode", [FEETECH, DYNAMIXEL, lambda n: n])
 def test_registers_of_servos_are_steps_with_a_sign_bit(encode: Callable[[Floats], Floats], tmp_path: Path) -> None:
     """As radians, the range was 650 times too large, and a negative step a jump of five turns."""
     t, goal, position = make_log(gravity=0.0, kd=0.0)
@@ -206,9 +195,7 @@ def test_names_of_other_loggers(goal: str, position: str, tmp_path: Path) -> Non
         ("/arm/controller_state.feedback.positions", "/arm/controller_state.reference.positions"),
     ],
 )
-def test_a_bag_of_ros_has_states_and_commands_in_topics(
-    state: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_topics_of_a_bag(state: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     t, goal, position = make_log(gravity=0.0, kd=0.0)
     same = "controller_state" in command
     sent, sent_goal = (t, goal) if same else (t[:-1:2] + 1e-3, goal[:-1:2])
