@@ -434,7 +434,7 @@ PMF_SELDOM int is_one_shift(const pmf_view_t *view, pmf_verdict_t *verdict)
         for (i = 0; i < PMF_PAST + PMF_VIEW && size > ALONE * most; ++i) {
             uint32_t zero = i < first ? first - 1U : first;
             pmf_relative_t start = i < first ? 0 : moves, apart = view->count[i] - view->count[zero];
-            other.count[i] = PMF_SIZE((scalar_t)apart + (scalar_t)start) < MOST ? apart + start : 0;
+            other.count[i] = rounded((scalar_t)apart + (scalar_t)start);
             most = i < 2U ? most : larger(most, acceleration(&other, i - 2U, i - 1U, i - 1U, i));
             most = i > 0U && is_too_fast(&other, i - 1U, i) != 0 ? ENDLESS : most;
         }
@@ -467,7 +467,7 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     if (other.verdict != PMF_READING_FITS || best.chosen < view->past + view->readings || other.unsure != 0U) {
         follow_best(view, 0U, &best, verdict); /* no path is cheaper than all counts if none is with the least demand */
         /* with either demand, a sure verdict is the same, and the counts differ by rounding */
-        apart = PMF_SIZE((scalar_t)(other.count - verdict->count));
+        apart = PMF_SIZE((scalar_t)other.count - (scalar_t)verdict->count);
         verdict->unsure |= verdict->verdict == PMF_READING_FITS ? other.unsure : 0U;
         verdict->unsure |= other.verdict != verdict->verdict || apart > view->step ? 1U : 0U;
     }
