@@ -124,9 +124,9 @@ def make_case(machine: Machine, motion: Motion, column: int) -> Case:
 
 
 def read_disc(machine: Machine, first: float) -> dict[str, float]:
-    """Return amplitude [counts] and phase at the first count of a disc that is eccentric."""
+    """Return amplitude [counts] and phase at the first count of a disc that is eccentric, or NaN for any other disc."""
     effect = machine.effect
     if "runout" not in effect:
-        return {}
+        return {"eccentricity": np.nan, "phase": np.nan}
     phase = effect["runout"] + 2 * np.pi / effect["turn"] * (first + 0.5 - machine.zero)
     return {"eccentricity": float(effect["eccentricity"]), "phase": float(phase)}
