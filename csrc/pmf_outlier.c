@@ -425,7 +425,11 @@ PMF_SELDOM int is_one_shift(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
     pmf_view_t other;
     uint32_t first, i, whole = view->past + view->readings == PMF_PAST + PMF_VIEW ? 1U : 0U;
-    other = *view;
+    other.past = view->past;
+    other.readings = view->readings;
+    other.step = view->step;
+    other.speed = view->speed;
+    other.slack = view->slack;
     for (first = PMF_PAST; whole != 0U && first < PMF_PAST + PMF_AHEAD; ++first) {
         scalar_t slope = PMF_SCALAR(0.5) * (speed(view, first - 2U, first - 1U) + speed(view, first, first + 1U));
         pmf_relative_t moves = rounded(slope * (view->time[first] - view->time[first - 1U]));
@@ -434,6 +438,7 @@ PMF_SELDOM int is_one_shift(const pmf_view_t *view, pmf_verdict_t *verdict)
         for (i = 0; i < PMF_PAST + PMF_VIEW && size > ALONE * most; ++i) {
             uint32_t zero = i < first ? first - 1U : first;
             pmf_relative_t start = i < first ? 0 : moves, apart = view->count[i] - view->count[zero];
+            other.time[i] = view->time[i];
             other.count[i] = rounded((scalar_t)apart + (scalar_t)start);
             most = i < 2U ? most : larger(most, acceleration(&other, i - 2U, i - 1U, i - 1U, i));
             most = i > 0U && is_too_fast(&other, i - 1U, i) != 0 ? ENDLESS : most;

@@ -17,7 +17,7 @@ MOST = {
     "lines of code in src": 37103,
     "lines of code in report and cli": 2891,
     "thresholds in src": 836,
-    "lines of csrc": 8753,
+    "lines of csrc": 8758,
     "defines of csrc": 194,
     "conditionals of csrc": 104,
     "lines of tests": 27665,
