@@ -217,7 +217,7 @@ def test_a_force_that_the_model_lacks_is_named(kind: str, word: str) -> None:
 
 
 def test_friction_that_rises_smoothly_from_rest_is_named_with_its_speed() -> None:
-    """An independent integrator with tanh(v / speed). Without the term, a second mass was named."""
+    """An independent integrator simulates friction in proportion to tanh(v / speed)."""
     mass, viscous, coulomb, speed, step = 2.0, 4.0, 6.0, 0.05, 0.002
     u, state, y = 25.0 * RNG.choice([-1.0, 1.0], 40).repeat(40), np.zeros(2), []
     for force in u:
